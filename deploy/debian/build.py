@@ -91,10 +91,12 @@ def _package(wheel: Path, architecture: str, python: str, tree: Path, out: Path)
 
 
 def _install(wheel: Path, architecture: str, python: str, site: Path) -> None:
-    """Unpack the wheels of an architecture: what pip takes on this machine, but for what is not for the other."""
+    """Unpack the wheels of an architecture: what pip takes for that Python here, but for what is not for the other."""
     report = site.parents[4] / "report.json"
     site.mkdir(parents=True)
-    _pip("install", "--dry-run", "--ignore-installed", "--report", str(report), f"{wheel}[{','.join(EXTRAS)}]")
+    chosen_for = ["--only-binary=:all:", f"--python-version={python}"]
+    ask = ["install", "--dry-run", "--ignore-installed", "--report", str(report), *chosen_for]
+    _pip(*ask, f"{wheel}[{','.join(EXTRAS)}]")
     chosen = {item["metadata"]["name"]: item["metadata"] for item in json.loads(report.read_text())["install"]}
     report.unlink()
     machine = MACHINES[architecture]

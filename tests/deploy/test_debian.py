@@ -6,13 +6,14 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.deploy.debian import debian
-from tests.deploy.place import DEPLOY
+from tests.deploy.place import DEPLOY, ROOT
 from tests.support.until import PATIENCE_S
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
@@ -93,3 +94,16 @@ def test_it_can_be_removed(system: Path) -> None:
     subprocess.run(["chroot", str(system), "dpkg", "--purge", "ropeway"], check=True)
     assert not (system / "usr/lib/ropeway").exists()
     assert not (system / "usr/bin/ropeway").exists()
+
+
+def test_another_python(tmp_path: Path) -> None:
+    """A package for an older Python than the one that builds it has what fits that Python."""
+    build = [sys.executable, "deploy/debian/build.py", "amd64", "--python", "3.10", "--out", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True)
+    (package,) = tmp_path.glob("*.deb")
+    field = ["dpkg-deb", "--field", str(package), "Depends"]
+    assert "python3 (<< 3.11)" in subprocess.run(field, capture_output=True, text=True, check=True).stdout
+    subprocess.run(["dpkg-deb", "--extract", str(package), str(tmp_path / "tree")], check=True)
+    modules = [file.name for file in (tmp_path / "tree").rglob("*.cpython-*.so")]
+    assert modules
+    assert [name for name in modules if "-310-" not in name and "-310d-" not in name] == []

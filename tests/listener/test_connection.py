@@ -255,6 +255,18 @@ async def test_our_own_pause(place: Place, monkeypatch: pytest.MonkeyPatch) -> N
     await far.connection.wait_closed()
 
 
+async def test_a_peer_that_is_not_listened_to(place: Place) -> None:
+    """A peer is not given up for its silence while we take nothing from it, but is from then on."""
+    await place.listen(Limits(ping_interval_s=0.02, silence_s=0.1))
+    client, far = await place.client()
+    far.connection.pause_reading()
+    for _ in range(25):  # pings, in several times as long as a silence may be
+        assert (await client._frame())[0] == PING
+    assert not far.connection.closed
+    far.connection.resume_reading()
+    assert await far.connection.wait_closed() == (1006, "nothing was heard for 0.1 s")
+
+
 async def test_half_a_frame(place: Place) -> None:
     """A frame that comes slowly is a sign of life; one that stops in the middle is not."""
     await place.listen(Limits(ping_interval_s=0.02, silence_s=0.25))

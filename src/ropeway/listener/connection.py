@@ -94,6 +94,7 @@ class Connection(WSListener):
         self._taken_s = time.monotonic()  # … and when that was
         self.account = limits.budget.open(self._ended_by_budget)
         self._pong: bytes | None = None  # the answer to the last ping, which waits until the link takes it
+        self._reading = True
         self._last_heard = time.monotonic()
         self._heard_bytes = 0
         self._watch: asyncio.Task[None] | None = None
@@ -177,11 +178,14 @@ class Connection(WSListener):
     def pause_reading(self) -> None:
         """Take no more from the peer for now; the operating system's window then holds it back."""
         if self._transport is not None and not self.closed:
+            self._reading = False
             self._transport.underlying_transport.pause_reading()
 
     def resume_reading(self) -> None:
         """Take from the peer again."""
         if self._transport is not None and not self.closed:
+            self._reading = True
+            self._last_heard = time.monotonic()
             self._transport.underlying_transport.resume_reading()
 
     def close(self, code: int = 1000, reason: str = "") -> None:
@@ -376,7 +380,8 @@ class Connection(WSListener):
                 await asyncio.sleep(pause_s)
                 self._was_late(time.monotonic() - looked_at - pause_s)
                 received = self._received_bytes()
-                if received != self._heard_bytes:  # part of a message counts as a sign of life
+                # Part of a message counts as a sign of life, and who is not listened to cannot give one.
+                if received != self._heard_bytes or not self._reading:
                     self._heard_bytes = received
                     self._last_heard = max(self._last_heard, looked_at)
                 self.look()

@@ -18,8 +18,10 @@ from typing import Any
 import psutil
 import pytest
 
+from ropeway import processor_queue
 from ropeway.errors import ConfigError, ConnectFailed, GraphUnavailable
 from ropeway.gateway.config import config
+from ropeway.gateway.process import supervisor as supervisor_module
 from ropeway.gateway.process.changes import commit, prepare
 from ropeway.gateway.process.questions import Question
 from ropeway.gateway.process.supervisor import Supervisor, places, slices
@@ -175,6 +177,24 @@ async def test_killed_worker(stack: AsyncExitStack, workers: int | str, caplog: 
     assert numbers == list(range(numbers[0], numbers[-1] + 1))
     assert [w.starts for w in supervisor.workers] == [3, 1]
     assert clouds[0].heard == sorted(set(clouds[0].heard))
+
+
+async def test_a_machine_that_lets_workers_wait(stack: AsyncExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers that get no processor are waited for, when they start and when they are asked, however long it takes."""
+    monkeypatch.setattr(supervisor_module, "_START_S", 0.001)
+    monkeypatch.setattr(processor_queue, "queued_s", lambda pid: time.monotonic())
+    supervisor = await stack.enter_async_context(Supervisor(parsed(2), log_level="WARNING"))
+    await supervisor.apply(parsed(2, http=[{"url": "http://127.0.0.1:1/", "topic": "/a", "type": STRING}]))
+    assert [worker.starts for worker in supervisor.workers] == [1, 1]
+
+
+async def test_workers_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers that could run, but do not get ready, are given up, with how many of them are."""
+    monkeypatch.setattr(supervisor_module, "_START_S", 0.001)
+    monkeypatch.setattr(processor_queue, "queued_s", lambda pid: 0.0)
+    with pytest.raises(GraphUnavailable, match=r"robot: 0 of its 2 workers are up, and none more within 0\.001 s"):
+        async with Supervisor(parsed(2), log_level="WARNING"):
+            pass
 
 
 async def test_status(stack: AsyncExitStack) -> None:

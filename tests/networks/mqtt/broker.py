@@ -18,6 +18,7 @@ __all__ = ["HAS_BROKER", "MOSQUITTO", "WHY_NOT", "Broker"]
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin") or ""
 HAS_BROKER = bool(MOSQUITTO)
+WHOLE_MESSAGES = "max_packet_size 268435455"  # the most that MQTT knows; mosquitto 2.1 takes 2 MB unless it is told
 WHY_NOT = "needs a broker: apt install mosquitto"
 
 
@@ -38,7 +39,8 @@ class Broker:
     def start(self) -> None:
         """Start it, and wait until it listens."""
         path = Path(self._directory.name) / "mosquitto.conf"
-        lines = [f"listener {self.port} 127.0.0.1", "user root", "log_dest stderr", "log_type error", *self._settings]
+        own = [f"listener {self.port} 127.0.0.1", "user root", "log_dest stderr", "log_type error", WHOLE_MESSAGES]
+        lines = [*own, *self._settings]
         path.write_text("\n".join([*lines, ""]))
         self._process = subprocess.Popen([MOSQUITTO, "-c", str(path)], stderr=subprocess.PIPE)
         deadline = time.monotonic() + PATIENCE_S

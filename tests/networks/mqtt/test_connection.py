@@ -191,7 +191,7 @@ async def test_refused_topics(tmp_path: Path) -> None:
 
 @needs_broker
 @pytest.mark.filterwarnings(
-    "ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning"
+    "ignore:Exception ignored (in.|while finalizing socket) <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning"
 )  # paho
 async def test_tls(tmp_path: Path) -> None:
     """Over TLS a broker is trusted by its authority, and may ask for a certificate."""

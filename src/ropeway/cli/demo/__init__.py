@@ -24,6 +24,7 @@ from ropeway.errors import RopewayError
 from ropeway.extras import require
 from ropeway.graph.base import Graph
 from ropeway.networks import open_graph
+from ropeway.processor_queue import patience
 from ropeway.types import TypeRegistry
 
 __all__ = ["app"]
@@ -33,7 +34,7 @@ _FOR_S: Final = 15.0
 _REFRESH_S: Final = 0.25
 _FIRST_LINE_S: Final = 1.0  # the figures are of a second
 _LINE_S: Final = 5.0
-_CONNECT_S: Final = 20.0
+_CONNECT_S: Final = 20.0  # in which the robot's gateway had a processor
 _LAST_S: Final = 0.5
 
 
@@ -127,11 +128,13 @@ async def _cross(
     connected = asyncio.create_task(gateways["robot"].connected(), name="connected")
     sending: list[asyncio.Task[Any]] = []
     try:
-        await _first([connected], stopped, watching, _CONNECT_S)
+        try:
+            async with patience(_CONNECT_S, lambda: gateways["robot"].process.pid):
+                await _first([connected], stopped, watching, None)
+        except TimeoutError:
+            raise RopewayError(f"the gateways did not find each other within {_CONNECT_S:g} s") from None
         if not connected.done():
-            if stop.is_set():
-                return
-            raise RopewayError(f"the gateways did not find each other within {_CONNECT_S:g} s")
+            return
         sending = [
             asyncio.create_task(part.send(graphs[part.side], flow.on_sent), name=part.topic)
             for part, flow in zip(parts, flows, strict=True)

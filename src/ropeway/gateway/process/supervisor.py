@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from ropeway import aio
 from ropeway.audit.trail import AuditTrail
 from ropeway.delivery.histogram import added
 from ropeway.errors import GraphUnavailable, RopewayError
@@ -26,6 +25,7 @@ from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.ports import check_free
 from ropeway.gateway.process.questions import Question
 from ropeway.gateway.process.worker_process import Spare, WorkerProcess
+from ropeway.processor_queue import patience
 from ropeway.tasks import Supervised, end, failing
 
 __all__ = ["Supervisor", "places", "slices"]
@@ -36,7 +36,7 @@ NOWHERE: Final[Mapping[str, str]] = {}
 _LISTED: Final = ("http", "safety")
 _TOLD_ONCE: Final = ("store", "nodes")
 """Parts of the status of a worker that is alone in having it, or that is the same in all."""
-_START_S: Final = 60.0  # for the next worker: 1 s, but many that start on a busy computer slow each other
+_START_S: Final = 60.0  # for the next worker, not counted while it waits for a processor: 1 s where nothing is wrong
 _ASK_S: Final = 30.0  # a worker that is busy with images answers within one
 _STEADY_S: Final = 5.0  # several times what a worker takes to start and to fail for a reason of its own
 
@@ -147,7 +147,7 @@ class Supervisor:
         """Wait until workers are up. Raises ``GraphUnavailable`` if one cannot start."""
         try:
             for worker in workers:
-                async with aio.timeout(_START_S):
+                async with patience(_START_S, worker.pid):
                     await worker.ready.wait()
                 if worker.error:
                     raise GraphUnavailable(f"worker {worker.name}", worker.error)

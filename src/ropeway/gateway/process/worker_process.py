@@ -19,6 +19,7 @@ from ropeway import aio
 from ropeway.audit.merging import AuditEntry
 from ropeway.errors import ConfigError, ControlRefused, GraphUnavailable
 from ropeway.gateway.process.questions import Question, question_name
+from ropeway.processor_queue import patience
 
 __all__ = ["LINE_BYTES", "Spare", "WorkerProcess"]
 
@@ -123,6 +124,10 @@ class WorkerProcess:
         """Whether the process is there and up."""
         return self.process is not None and self.process.returncode is None and self.ready.is_set()
 
+    def pid(self) -> int | None:
+        """Return the number of the process; None before the first."""
+        return None if self.process is None else self.process.pid
+
     def kill(self) -> None:
         """End the process at once; it is started again."""
         if self.process is not None and self.process.returncode is None:
@@ -132,7 +137,7 @@ class WorkerProcess:
         """Return the worker's answer.
 
         Raises what the question raised, and ``GraphUnavailable`` where the worker is not there, ends meanwhile or takes
-        longer.
+        longer, not counting the time in which the machine lets it wait.
         """
         process = self.process
         if process is None or process.stdin is None or not self.running:
@@ -142,7 +147,7 @@ class WorkerProcess:
         self._asked[number] = answer
         line = json.dumps({"id": number, "ask": question_name(question), "params": params}).encode() + b"\n"
         try:
-            async with aio.timeout(timeout_s):
+            async with patience(timeout_s, self.pid):
                 process.stdin.write(line)
                 await process.stdin.drain()
                 return await answer

@@ -7,11 +7,13 @@ import contextlib
 import os
 import signal
 import sys
+import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
 
+from ropeway import processor_queue
 from ropeway.networks.dds.fastdds import process as module
 from ropeway.networks.dds.fastdds.frames import HelperFrame, Op
 from ropeway.networks.dds.fastdds.process import HelperProcess, Unfit
@@ -127,6 +129,19 @@ async def test_hung(watch: Start, monkeypatch: pytest.MonkeyPatch, caplog: pytes
     await until(lambda: one.ups == 2)
     assert one.downs == 1
     assert "has ended (it hung)" in caplog.text
+
+
+async def test_let_wait(watch: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A helper that gets no processor is waited for, when it starts and when it does not answer."""
+    monkeypatch.setattr(module, "_READY_S", 0.001)
+    monkeypatch.setattr(module, "_PING_S", 0.001)
+    monkeypatch.setattr(module, "_SILENCE_S", 0.001)
+    monkeypatch.setattr(processor_queue, "queued_s", lambda pid: time.monotonic())
+    one = watch()
+    await one.helper.start()
+    heard = one.helper._heard
+    await until(lambda: one.helper._heard > heard + 0.01)
+    assert (one.helper.starts, one.downs) == (1, 0)
 
 
 async def test_nonsense(watch: Start, caplog: pytest.LogCaptureFixture) -> None:
