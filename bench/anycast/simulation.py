@@ -10,14 +10,14 @@ alone fails about as often as the thesis reports.
 from __future__ import annotations
 
 import heapq
-import itertools
+import math
 import random
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from ropeway.group.bound import LatencyBound
-from ropeway.group.scheduler import Options, Scheduler
+from ropeway.group.scheduler import Options, Phase, Scheduler
 
 __all__ = ["BASES", "BOUND", "DEADLINE_S", "FRAME_S", "SETS", "THESIS", "collisions", "following", "hedged"]
 
@@ -64,23 +64,74 @@ class Latencies:
         return took
 
 
+class Drive:
+    """A robot that asks at a rate, and what comes of it, by the clock of the simulation.
+
+    As in the gateway, the scheduler is woken when a request is late, and then all that waits goes to another machine.
+    """
+
+    def __init__(self, scheduler: Scheduler) -> None:
+        self.scheduler = scheduler
+        self.sent: list[float] = []
+        self.took: list[float] = []  # until the first answer of each
+        self._all: list[dict[str, float]] = []  # what each machine takes for a frame
+        self._asked: dict[int, tuple[str, ...]] = {}  # what has no answer yet
+        self._under_way: list[tuple[float, str, int]] = []
+
+    def frame(self, now_s: float, took: Mapping[str, float]) -> None:
+        """Send a frame."""
+        self.run(now_s)
+        key = len(self.sent)
+        self.sent.append(now_s)
+        self.took.append(float("inf"))
+        self._all.append(dict(took))
+        self._ask(self.scheduler.targets(now_s), key, now_s)
+
+    def run(self, until_s: float) -> None:
+        """Let come what comes until then."""
+        now_s = self.sent[-1] if self.sent else 0.0
+        while True:
+            answer_s = self._under_way[0][0] if self._under_way else float("inf")
+            late_s = self.scheduler.late_at_s(now_s)
+            now_s = min(answer_s, late_s)
+            if now_s > until_s:
+                return
+            if answer_s <= late_s:
+                _, name, key = heapq.heappop(self._under_way)
+                self.scheduler.answered(name, key, now_s)
+                self._asked.pop(key, None)
+            else:
+                self._late(now_s)
+
+    def _ask(self, names: Sequence[str], key: int, now_s: float) -> None:
+        self.scheduler.asked(names, key, now_s)
+        self._asked[key] = (*self._asked.get(key, ()), *names)
+        for name in names:
+            at_s = now_s + self._all[key][name]
+            self.took[key] = min(self.took[key], at_s - self.sent[key])
+            heapq.heappush(self._under_way, (at_s, name, key))
+
+    def _late(self, now_s: float) -> None:
+        before = self.scheduler.decided
+        self.scheduler.step(now_s)
+        if not self.scheduler.stateless or self.scheduler.phase is not Phase.COMPARING:
+            return
+        if self.scheduler.decided == before:
+            return
+        for key, asked in list(self._asked.items()):
+            name = next((n for n in self.scheduler.ranked(now_s) if n not in asked), "")
+            if name and len(asked) == 1:
+                self._ask((name,), key, now_s)
+
+
 def answers(scheduler: Scheduler, took: Took, seconds: float, *, frame_s: float = FRAME_S) -> list[tuple[float, float]]:
     """Ask for so long; return for each frame when it was taken and how long its first answer took."""
-    now, keys = 0.0, itertools.count()
-    under_way: list[tuple[float, str, int]] = []
-    first: list[tuple[float, float]] = []
-    while now < seconds:
-        while under_way and under_way[0][0] <= now:
-            at, name, number = heapq.heappop(under_way)
-            scheduler.answered(name, number, at)
-        took_s, key = took(now), next(keys)
-        names = scheduler.targets(now)
-        scheduler.asked(names, key, now)
-        for name in names:
-            heapq.heappush(under_way, (now + took_s[name], name, key))
-        first.append((now, min((took_s[name] for name in names), default=float("inf"))))
-        now += frame_s
-    return first
+    drive, now_s = Drive(scheduler), 0.0
+    while now_s < seconds:
+        drive.frame(now_s, took(now_s))
+        now_s += frame_s
+    drive.run(now_s)
+    return list(zip(drive.sent, drive.took, strict=True))
 
 
 def among(machines: Sequence[str], *, stateless: bool) -> Scheduler:
@@ -146,7 +197,7 @@ def following(trials: int, frame_s: float = 1 / 30) -> dict[str, float]:
         if before[-1].after != "edge1":
             continue  # the profile found the other better, which it may
         change = next((d.at_s for d in scheduler.decisions if d.after == "edge2" and d.at_s > begins), float("inf"))
-        frames.append(round((change - begins) / frame_s))
+        frames.append(math.inf if change == math.inf else 1 + int((change - begins) / frame_s))
         late.append(sum(t > DEADLINE_S for at, t in first if at >= begins))
     return {
         "frames until the change, median": statistics.median(frames),

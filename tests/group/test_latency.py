@@ -111,3 +111,15 @@ def test_every_value_is_of_the_window(events: list[tuple[float, float]], window_
     expected = sorted(latency for at, latency in events if at > now_s - window_s)
     found = window.statistics(now_s)
     assert (list(found.values) if found is not None else []) == expected
+
+
+def test_what_is_late_next() -> None:
+    """Of requests that came after all that were answered, the first that is not late yet tells when one is."""
+    window = LatencyWindow()
+    for key in range(4):
+        window.asked(0.01 * key, key)
+    assert window.next_late_s(0.03, 0.05) == pytest.approx(0.05)
+    assert window.next_late_s(0.055, 0.05) == pytest.approx(0.06)
+    window.answered(0.056, 2)
+    assert window.next_late_s(0.056, 0.05) == pytest.approx(0.08)
+    assert window.next_late_s(0.09, 0.05) == float("inf")

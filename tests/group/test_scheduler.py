@@ -13,6 +13,7 @@ from ropeway.group.bound import LatencyBound
 from ropeway.group.scheduler import Options, Phase, Scheduler
 
 BOUND = LatencyBound.of({"p90": 0.038})
+BOUND_90 = LatencyBound.of({"p90": 0.0274})
 BOUND_MIN = LatencyBound.of({"min": 0.038})
 PERIOD_S = 1 / 90
 
@@ -266,6 +267,24 @@ def test_within_three_frames() -> None:
     change = next(d.at_s for d in play.scheduler.decisions if d.after == "edge2")
     assert round((change - slow_from_s) / frame_s) <= 3
     assert sum(latency > 0.038 for latency in play.delivered) <= 2
+
+
+def test_within_three_frames_at_90_hz() -> None:
+    """At 90 Hz the machine is changed within three frames, when the first is late and the second has no answer."""
+    slow_from_s = 270 * PERIOD_S - 1e-6
+    play = Play({"edge1": after(slow_from_s, 0.012, 0.062), "edge2": always(0.014)}, bound=BOUND_90)
+    play.run(1.0)
+    play.scheduler.switch("edge1", play.now)
+    play.run(slow_from_s + 1.5 * PERIOD_S - play.now)
+    late_s = play.scheduler.late_at_s(play.now)
+    assert late_s - slow_from_s <= 3 * PERIOD_S
+    play.scheduler.step(late_s)
+    status = play.scheduler.status(late_s)
+    assert (status["current"], status["phase"]) == ("edge2", "comparing")
+    play.run(1.0)
+    status = play.scheduler.status(play.now)
+    assert (status["current"], status["phase"]) == ("edge2", "steady")
+    assert status["members"]["edge1"]["alone_for_s"] > 0
 
 
 def test_a_hiccup() -> None:

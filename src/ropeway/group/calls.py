@@ -8,7 +8,7 @@ by another.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from itertools import islice
 from typing import Final, Protocol, TypeVar
 
@@ -16,6 +16,7 @@ from ropeway.errors import CallFailed, CallTimeout, GoalRejected, GraphUnavailab
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionClient, Client, Request
 from ropeway.graph.signal import Signal
 from ropeway.group.chooser import Chooser
+from ropeway.group.late_watch import LateWatch
 from ropeway.group.part import GroupPart
 from ropeway.group.race import UNTOUCHED, Race
 from ropeway.tasks import end
@@ -48,6 +49,18 @@ class Ways:
     def __init__(self, group: Chooser, name: str, kind: str = "service") -> None:
         self.group, self.name, self.kind = group, name, kind
         self.closed = False
+        self._watch = LateWatch(group)
+
+    def asked(self, names: Sequence[str], key: object, now_s: float) -> None:
+        """Note whom a call was sent to, and have it noticed when it is late."""
+        self.group.scheduler.asked(names, key, now_s)
+        if self._watch.idle:
+            self._watch.begin()
+
+    def close(self) -> None:
+        """Note that the client is closed."""
+        self.closed = True
+        self._watch.close()
 
     async def wait(self, client: Available, timeout_s: float) -> float:
         """Wait until a member can be asked; return what is left of the time, in seconds.
@@ -97,12 +110,12 @@ class Ways:
             group.tell()
             raise next(iter(failed.values()), NotServed(self.name, self.kind))
         keys.update(dict.fromkeys(first, object()))
-        scheduler.asked(first, keys[first[0]], group.now())
+        self.asked(first, keys[first[0]], group.now())
 
         async def ask_one(name: str) -> T:
             if name not in keys:  # it is asked later than the first
                 keys[name] = object()
-                scheduler.asked((name,), keys[name], group.now())
+                self.asked((name,), keys[name], group.now())
             try:
                 answer = await ask(name, max(0.0, deadline_s - loop.time()))
             except BaseException as error:
@@ -187,7 +200,7 @@ class GroupUser(GroupPart[U]):
 
     async def close(self) -> None:
         """See ``Client`` and ``ActionClient``."""
-        self._ways.closed = True
+        self._ways.close()
         self._changed.notify()
         await super().close()
 
@@ -209,7 +222,7 @@ class GroupClient(GroupUser[Client]):
             served = not ways.closed and self.serves(group.scheduler.current)
             return await self._ask(request, timeout_s if served else await ways.wait(self, timeout_s))
         key = object()
-        group.scheduler.asked((name,), key, began_s)
+        ways.asked((name,), key, began_s)
         try:
             answer = await part.call(request, timeout_s)
         except BaseException as error:

@@ -28,6 +28,7 @@ class Evidence(NamedTuple):
 
     pairs: int
     beaten: bool  # the one in use, by the rival
+    behind: bool  # the rival, by the one in use
     sound: bool  # the one in use has answered in time what both were asked
     numbers: str
 
@@ -72,7 +73,8 @@ class Comparison:
             f"late {theirs.late} and {ours.late}"
         )
         sound = ours.in_time >= (1 if self.hiccup else options.pairs)
-        return Evidence(len(keys), quick or clear or sooner, sound, numbers)
+        behind = theirs.late - ours.late >= _TELLING
+        return Evidence(len(keys), quick or clear or sooner, behind, sound, numbers)
 
     def _side(self, name: str, keys: Iterable[Hashable], limit_s: float | None, now_s: float) -> _Side:
         """Return how a side did; an answer that is missing takes at least until now."""

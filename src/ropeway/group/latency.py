@@ -146,6 +146,15 @@ class LatencyWindow:
             found += now_s - asked_s > limit_s
         return found
 
+    def next_late_s(self, now_s: float, limit_s: float) -> float:
+        """Return when one more request is late that came after all that were answered, infinity without one."""
+        found = float("inf")
+        for asked_s in reversed(self._pending.values()):
+            if asked_s <= self._answered_from_s or asked_s + limit_s <= now_s:
+                break
+            found = asked_s + limit_s
+        return found
+
     def recent_s(self, count: int) -> float | None:
         """Return the mean of the last ``count`` latencies, ``None`` without any."""
         last = list(islice(reversed(self._latencies), count))

@@ -15,6 +15,7 @@ Rank = tuple[int, float, float]
 """Orders members, the most promising first: the standing, the mean with its requests in flight, and its penalty."""
 
 _MOST_PENALTY_S: Final = 300.0
+_IN_A_ROW: Final = 2  # requests without an answer: one may have been lost, or passed over
 _TOGETHER: Final = 3  # standard deviations
 _ERRORS: Final = 2  # standard errors of a mean: nineteen of twenty are within
 _ORDER: Final = (Standing.MET, Standing.UNKNOWN, Standing.MISSED)
@@ -79,6 +80,16 @@ class Replica:
         """Return the least mean that it may have, after what was seen of it when it was asked last."""
         known_s = self.recalled(now_s, options)
         return None if known_s is None else known_s - self.unsure_s
+
+    def was_in_time(self, now_s: float, limit_s: float, options: Options) -> bool:
+        """Return whether it usually was in time when it was asked last, and has lost nothing since."""
+        known_s = self.recalled(now_s, options)
+        return known_s is not None and known_s + self.spread_s <= limit_s and self.alone_until_s <= now_s
+
+    def fell_silent(self, now_s: float, limit_s: float, usual_s: float) -> bool:
+        """Return whether two requests in a row have no answer: one late, and one older than half the answers took."""
+        waiting = self.window.overdue(now_s, min(usual_s, limit_s))
+        return waiting >= _IN_A_ROW and self.window.overdue(now_s, limit_s) > 0
 
     def risen_s(self, now_mean_s: float, other: Replica) -> float:
         """Return by how much more requests take now than when ``other`` was asked as well, as far as they all may.

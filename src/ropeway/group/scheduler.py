@@ -32,6 +32,7 @@ __all__ = ["Decision", "Options", "Phase", "Scheduler"]
 _LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that count as a missed bound
 _CLEARLY: Final = 1.5  # times the latency of the one before: a change that is worse than that is wrong at once
 _JUDGED_PER_WINDOW: Final = 50  # what two requests in a row do not show, shows in a window, and not sooner
+_JUST_S: Final = 1e-4  # after its limit a request is late; a timer that is set to the limit itself may come sooner
 _MOST_DECISIONS: Final = 256
 _NEVER_S: Final = float("-inf")  # before any time of the clock
 _MOST_GONE: Final = 64  # members that are not there, whose penalties are remembered
@@ -140,6 +141,15 @@ class Scheduler:
             ranked = [*([self.current] if self.current else []), *(m.name for m in others)]
             self._ranked = now_s + self.options.window_s / _JUDGED_PER_WINDOW, ranked
         return self._ranked[1]
+
+    def late_at_s(self, now_s: float) -> float:
+        """Return when a request to the member in use is late next, unless it is answered; infinity without one.
+
+        ``step`` is due then: nothing else tells that nothing comes.
+        """
+        if self._limit_s is None or not self.current:
+            return float("inf")
+        return self._members[self.current].window.next_late_s(now_s, self._limit_s + _JUST_S)
 
     def status(self, now_s: float) -> dict[str, Any]:
         """Return everything as it stands, as JSON."""
@@ -344,10 +354,19 @@ class Scheduler:
             return
         limit_ms = 1e3 * (self._limit_s or 0.0)
         why = self.bound.missed(found) or f"{late} in a row took more than {limit_ms:.0f} ms"
+        rested = now_s - self._since_s >= self.options.least_dwell_s
         if self.stateless:
+            limit_s = self._limit_s or 0.0
+            silent = rested and member.fell_silent(now_s, limit_s, found.median)
+            if silent and rival.was_in_time(now_s, limit_s, self.options):
+                since_s = self._since_s
+                self._change(rival.name, now_s, f"{member.name} has not answered for a while: {why}")
+                self._since_s = since_s  # the comparison that begins may take it back at once
+                self._comparison = Comparison(member.name)
+                return
             self._comparison = Comparison(rival.name, hiccup=not missed)
             self._note(now_s, f"{why}; {rival.name} is asked, too")
-        elif now_s - self._since_s >= self.options.least_dwell_s:
+        elif rested:
             known_s = rival.may_take_s(now_s, self.options)
             enough = found.answered + found.pending >= ENOUGH * self.options.pairs
             if known_s is not None:
@@ -391,6 +410,8 @@ class Scheduler:
             self._comparison = Comparison(mine.name)  # until the bound is met, the first answer wins
         elif settled and evidence.sound and not evidence.beaten:
             self._comparison = None
+            if evidence.behind:
+                rival.lost(now_s, self.options)
             self._note(now_s, f"meets the bound: {evidence.numbers}")
         elif not evidence.beaten and evidence.pairs >= ENOUGH * self.options.pairs:
             rival.lost(now_s, self.options)

@@ -11,8 +11,10 @@ from ropeway.graph.base import SEQ_NONE, Publisher, Sample, SampleCallback, Subs
 from ropeway.graph.parts import numbered
 from ropeway.group.chooser import Chooser
 from ropeway.group.exchange import Exchange
+from ropeway.group.late_watch import LateWatch
 from ropeway.group.pairs import Judge
 from ropeway.group.part import GroupPart
+from ropeway.group.scheduler import Phase
 from ropeway.group.stamp import StampReader
 from ropeway.limits import HEDGED_BYTES
 from ropeway.qos import QoS, common_qos
@@ -42,8 +44,9 @@ class GroupPublisher(GroupPart[Publisher]):
         self._exchange, self._stamp = exchange, stamp
         self._demand: list[Callable[[int], None]] = []
         self._closed = False
-        self._timers: set[asyncio.TimerHandle] = set()
+        self._held: dict[int, tuple[asyncio.TimerHandle, Callable[[], None]]] = {}  # what a second member may get, too
         self._held_bytes = 0
+        self._watch = LateWatch(group, self._hurry)
         self._origin, self._seq = new_origin(), 0
 
     def publish(self, sample: Sample) -> None:
@@ -67,7 +70,9 @@ class GroupPublisher(GroupPart[Publisher]):
             self._exchange.asked(names, key, stamp, now_s)
             second = "" if alone or not self._exchange.read else group.second()
             if second and second not in names:
-                self._hedge(second, sample, key, stamp)
+                self._hedge(names, sample, key, stamp)
+            if self._watch.idle:
+                self._watch.begin()
         for name in names:
             self._parts[name].publish(sample)
 
@@ -81,8 +86,8 @@ class GroupPublisher(GroupPart[Publisher]):
     def _reads(self, name: str) -> bool:
         return name in self._parts and self._parts[name].subscribers != 0
 
-    def _hedge(self, name: str, sample: Sample, key: object, stamp: bytes | None) -> None:
-        """Have ``name`` asked, too, if the answer is late; not while as much as may be held waits for that already."""
+    def _hedge(self, asked: tuple[str, ...], sample: Sample, key: int, stamp: bytes | None) -> None:
+        """Have one more asked if the answer is late; not while as much as may be held waits for that already."""
         exchange, size = self._exchange, len(sample.payload)
         assert exchange is not None
         if self._held_bytes and self._held_bytes + size > HEDGED_BYTES:
@@ -90,14 +95,22 @@ class GroupPublisher(GroupPart[Publisher]):
         self._held_bytes += size
 
         def late() -> None:
-            self._timers.discard(timer)
+            del self._held[key]
             self._held_bytes -= size
-            if exchange.is_open(key) and name in self._parts:
+            name = next((n for n in self._group.ranked() if n not in asked and n in self._parts), "")
+            if name and exchange.is_open(key):
                 exchange.asked((name,), key, stamp, self._group.now())
                 self._parts[name].publish(sample)
 
         timer = asyncio.get_running_loop().call_later(self._group.hedge_after_s(), late)
-        self._timers.add(timer)
+        self._held[key] = timer, late
+
+    def _hurry(self) -> None:
+        """Have all asked of a second member at once that the first has not answered, as it is late for one of them."""
+        if self._group.scheduler.phase is Phase.COMPARING:
+            for timer, late in list(self._held.values()):
+                timer.cancel()
+                late()
 
     @property
     def subscribers(self) -> int | None:
@@ -140,9 +153,10 @@ class GroupPublisher(GroupPart[Publisher]):
 
     async def close(self) -> None:
         """See ``Publisher``."""
-        for timer in self._timers:
+        self._watch.close()
+        for timer, _ in self._held.values():
             timer.cancel()
-        self._timers.clear()
+        self._held.clear()
         self._held_bytes = 0
         self._demand.clear()
         self._closed = True
