@@ -1,7 +1,7 @@
 """Runs a gateway as its service does, without what reads the options of all verbs.
 
-That takes 3 MB for as long as the gateway runs, and a tenth of the time until it is up. Whatever is not among the plain
-options of ``ropeway run``, or not as they should be, is left to the command line, which explains it.
+That takes a megabyte for as long as the gateway runs, and some of the time until it is up. Whatever is not among the
+plain options of ``ropeway run``, or not as they should be, is left to the command line, which explains it.
 """
 
 from __future__ import annotations

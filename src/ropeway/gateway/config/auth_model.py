@@ -181,7 +181,9 @@ class Patterns(Model):
 class RoleConfig(Patterns):
     """The rights of a role's clients; whatever is not listed is not allowed."""
 
-    deny: Patterns = Field(Patterns.model_validate({}), description="exceptions from the patterns beside it")
+    deny: Patterns = Field(
+        default_factory=dict, validate_default=True, description="exceptions from the patterns beside it"
+    )
     messages_per_s: Rate | None = Field(None, description="how much a client may send; default: no limit")
     bytes_per_s: Rate | None = Field(None, description="how much a client may send; default: no limit")
     max_message_bytes: int | None = Field(None, ge=1024, description="a longer message closes its connection")

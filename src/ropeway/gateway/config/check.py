@@ -64,7 +64,7 @@ def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]
         document = with_default_policy(Document.model_validate(full, context={"directory": directory}))
     except ValidationError as error:
         problems += shape_problems(error, Document)
-    problems += _sense(full)
+    problems += _sense(full, document)
     problems += [] if document is None else policy_problems(document)
     return document, problems
 
@@ -119,7 +119,7 @@ def _objects(value: object) -> Iterable[tuple[int, Mapping[str, Any]]]:
         yield from ((i, item) for i, item in enumerate(value) if isinstance(item, Mapping))
 
 
-def _sense(full: Mapping[str, Any]) -> list[Problem]:
+def _sense(full: Mapping[str, Any], document: Document | None) -> list[Problem]:
     gateway = full.get("gateway")
     gateway = gateway if isinstance(gateway, Mapping) else {}
     problems = [*_listeners(gateway), *_auth(gateway), *_control(gateway), *_store(gateway, full.get("remotes"))]
@@ -143,7 +143,8 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
         problems += _mqtt(remote, path)
         if _inactive(remote):
             continue
-        for key, where, said in _tasks(remote, path, graphs):
+        read = None if document is None else document.remotes[index]
+        for key, where, said in _tasks(remote, read, path, graphs):
             if key in first_seen:
                 problems.append((where, f"the same task as {first_seen[key]} ({said}); keep one"))
             else:
@@ -401,23 +402,34 @@ def _inactive(remote: Mapping[str, Any]) -> bool:
     return active is False or (isinstance(active, str) and active.lower() == "false")
 
 
-def _tasks(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[tuple[str, str, str]]:
-    """Yield ``(key, path, words)`` for every well-formed task of one remote."""
-    frame = {k: remote[k] for k in ("address", "graph", "local_namespace", "remote_namespace") if k in remote}
-    shell = _attempt(RemoteConfig.model_validate, frame)
+def _tasks(
+    remote: Mapping[str, Any], read: RemoteConfig | None, path: str, graphs: list[Any]
+) -> Iterable[tuple[str, str, str]]:
+    """Yield ``(key, path, words)`` for every well-formed task of a remote; ``read`` is the whole, where all is well."""
+    shell = read or _shell(remote)
     if shell is None:
         return
     default = graphs[0] if graphs else ""
     for operation in OPERATIONS:
-        info = RemoteConfig.model_fields[operation.replace("-", "_")]
-        model = inner_model(info.annotation)
-        assert model is not None
-        known = spellings(model)
-        for number, raw in _objects(remote.get(operation)):
-            item = _attempt(model.model_validate, {k: v for k, v in raw.items() if k in known})
-            if not isinstance(item, BridgedName):
-                continue
+        field = operation.replace("-", "_")
+        items = enumerate(getattr(read, field)) if read is not None else _well_formed(field, remote.get(operation))
+        for number, item in items:
             name, remote_name = shell.names(item)
             key = route_key(operation, shell.address, shell.graph or str(default), name, remote_name, item.type)
             said = f"{OPERATIONS[operation]} {name}, {item.type}, {shell.address}"
             yield key, f"{path}.{operation}[{number}]", said
+
+
+def _shell(remote: Mapping[str, Any]) -> RemoteConfig | None:
+    frame = {k: remote[k] for k in ("address", "graph", "local_namespace", "remote_namespace") if k in remote}
+    return _attempt(RemoteConfig.model_validate, frame)
+
+
+def _well_formed(field: str, items: object) -> Iterable[tuple[int, BridgedName]]:
+    model = inner_model(RemoteConfig.model_fields[field].annotation)
+    assert model is not None
+    known = spellings(model)
+    for number, raw in _objects(items):
+        item = _attempt(model.model_validate, {k: v for k, v in raw.items() if k in known})
+        if isinstance(item, BridgedName):
+            yield number, item

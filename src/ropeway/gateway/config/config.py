@@ -16,13 +16,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
-
 from ropeway.errors import ConfigError
 from ropeway.gateway.config.address import is_iort
 from ropeway.gateway.config.check import check, route_key
 from ropeway.gateway.config.document import read_file
-from ropeway.gateway.config.model import GatewayConfig, RemoteConfig
+from ropeway.gateway.config.model import Document, GatewayConfig, RemoteConfig
 from ropeway.gateway.config.route_model import OPERATIONS, BridgedName, TopicItem
 from ropeway.gateway.config.route_options import AS_IT_COMES, RouteOptions
 from ropeway.gateway.config.safety_model import SafetyItem
@@ -131,7 +129,11 @@ class Config:
         """Return the full form, for ``parse`` in another process: paths are absolute and all defaults are
         written out.
         """
-        return {"gateway": _dump(self.gateway), "remotes": [_dump(remote) for remote in self.remotes]}
+        whole = Document.model_construct(gateway=self.gateway, remotes=self.remotes)  # the one model that is built
+        dumped: dict[str, Any] = whole.model_dump(
+            mode="json", by_alias=True, exclude_none=True, exclude={"schema_", "anycast"}
+        )
+        return dumped
 
     @cached_property
     def etag(self) -> str:
@@ -145,11 +147,6 @@ class Config:
         from ropeway.gateway.config.schema import build  # a tenth of a second that only this needs
 
         return build()
-
-
-def _dump(model: BaseModel) -> dict[str, Any]:
-    dumped: dict[str, Any] = model.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return dumped
 
 
 def load(path: str | Path) -> Config:

@@ -15,9 +15,9 @@ from pydantic import (
 
 from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
 from ropeway.gateway.config.address import default_graph, parse_graph, parse_listen
-from ropeway.gateway.config.audit_model import AuditConfig, AuditItem
+from ropeway.gateway.config.audit_model import AuditItem
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
-from ropeway.gateway.config.control_model import ControlConfig, ControlItem
+from ropeway.gateway.config.control_model import ControlItem
 from ropeway.gateway.config.expected_model import ExpectedLink
 from ropeway.gateway.config.fields import ExistingPath, Many, Model, Switch
 from ropeway.gateway.config.foxglove_model import FoxgloveConfig
@@ -250,14 +250,12 @@ class GatewayConfig(Model):
     )
     insecure: bool = Field(False, description="true allows listeners that other machines reach without authentication")
     tls: ListenTls | None = Field(None, description="for wss:// and other secure listeners")
-    auth: AuthConfig = Field(
-        default_factory=lambda: AuthConfig.model_validate({}), description="who may connect, and do what"
-    )
+    auth: AuthConfig = Field(default_factory=dict, validate_default=True, description="who may connect, and do what")
     globs: GlobsConfig = Field(
-        default_factory=lambda: GlobsConfig.model_validate({}), description="rosbridge's globs, for all clients"
+        default_factory=dict, validate_default=True, description="rosbridge's globs, for all clients"
     )
     overlay: OverlayConfig | None = Field(None, description="membership of the overlay, for remotes with that address")
-    iort: IortConfig = Field(default_factory=lambda: IortConfig.model_validate({}), description="robots of other makes")
+    iort: IortConfig = Field(default_factory=dict, validate_default=True, description="robots of other makes")
     store: StoreConfig | None = Field(
         None,
         description='last values; there also without this where a listener is iort:// or a topic has "store": true',
@@ -275,17 +273,19 @@ class GatewayConfig(Model):
         False, description="how links and routes are is published on /diagnostics of the local networks (REP 107)"
     )
     clients: ClientsConfig = Field(
-        default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
+        default_factory=dict, validate_default=True, description="how rosbridge clients are served"
     )
     foxglove: FoxgloveConfig = Field(
-        default_factory=lambda: FoxgloveConfig.model_validate({}), description="what Foxglove viewers are shown"
+        default_factory=dict, validate_default=True, description="what Foxglove viewers are shown"
     )
     control: ControlItem = Field(
-        default_factory=lambda: ControlConfig.model_validate({}),
+        default_factory=dict,
+        validate_default=True,
         description="how the running gateway is seen and changed; false: not at all",
     )
     audit: AuditItem = Field(
-        default_factory=lambda: AuditConfig.model_validate({}),
+        default_factory=dict,
+        validate_default=True,
         description="the log of who changed, commanded, was denied or disconnected; false: none",
     )
     record: RecordItems = Field(
@@ -328,8 +328,6 @@ class Document(Model):
     """The full form."""
 
     schema_: str = Field("", alias="$schema", description="for editors; ignored")
-    gateway: GatewayConfig = Field(
-        default_factory=lambda: GatewayConfig.model_validate({}), description="the gateway itself"
-    )
+    gateway: GatewayConfig = Field(default_factory=dict, validate_default=True, description="the gateway itself")
     anycast: AnycastConfig | None = Field(None, description="for every remote that is a group and says nothing else")
     remotes: Many[RemoteConfig] = Field((), description="the other gateways and what crosses to them")
