@@ -23,6 +23,7 @@ class InterfaceGraph(RosbridgeGraph):
     def __init__(self, url: str, interface: str, **options: Any) -> None:
         super().__init__(url, dial=partial(connect, interface=interface), **options)
         self.interface = interface
+        self.one_of_several = True
         if interface:
             self.name = f"{self.name} by {interface}"
         self._told: list[Callable[[float], None]] = []

@@ -107,6 +107,7 @@ class RosbridgeGraph(GraphBase):
         self._noted_types: set[str] = set()
         self.plain_server = PlainServer(shown, self.registry)
         self.spelling = Spelling(self, ros1)
+        self.one_of_several = False
         self.teller = RemoteDefinitions(self)
         self._traffic = (0, 0)
         self._chores = LinkChores(self, asks=watch and ask_rosapi)

@@ -43,6 +43,8 @@ class LinkGraph(Host, Protocol):
     mirror: RemoteMirror
     plain_server: PlainServer
     spelling: Spelling
+    one_of_several: bool
+    """Whether other links lead to the same gateway: what they have just brought of a topic comes again by this one."""
 
     @property
     def teller(self) -> DefinitionTeller:

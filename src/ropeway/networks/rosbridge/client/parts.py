@@ -255,6 +255,8 @@ class RemoteSubscription(Inbound, SubscriptionBase[LinkGraph]):
                     extra[key] = value
             if not self.graph.registry.has(self.type):
                 extra["want_definition"] = True
+            if self.graph.one_of_several:
+                extra["again"] = True
         elif encoding in ("auto", "zstd"):
             encoding = "cbor-raw"
         self.used = encoding

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
@@ -49,6 +50,7 @@ class StreamSender(Protocol):
     dialect: Dialect
     outbox: Outbox[Any]
     channels: dict[int, Stream[Any]]
+    recent: deque[tuple[Stream[Any], Any]] | None
 
     @property
     def records(self) -> bool:

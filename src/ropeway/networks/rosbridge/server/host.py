@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ropeway.networks.rosbridge.protocol import ops
 
 if TYPE_CHECKING:
+    from ropeway.graph.base import Sample
     from ropeway.hub.hub import View
     from ropeway.listener.authorization import Access
     from ropeway.listener.turns import Turns
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from ropeway.networks.rosbridge.server.names import Names
     from ropeway.types import MessageCodec, TypeRegistry
 
-__all__ = ["RosapiAnswers", "SessionHost"]
+__all__ = ["RosapiAnswers", "SessionHost", "SiblingSession", "TopicsSent"]
 
 
 class RosapiAnswers(Protocol):
@@ -27,6 +28,23 @@ class RosapiAnswers(Protocol):
 
     def question(self, name: str, args: Any) -> Callable[[], Any]:
         """Return what finds the ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
+
+
+class TopicsSent(Protocol):
+    """Knows what was sent of topics; ``TopicOps`` does so."""
+
+    def just_sent(self, topic: str) -> Sequence[Sample]:
+        """Return the last small messages of a topic that the client got."""
+        ...
+
+
+class SiblingSession(Protocol):
+    """Serves another link of the same gateway."""
+
+    @property
+    def topics(self) -> TopicsSent:
+        """Return its topics."""
+        ...
 
 
 class SessionHost(Protocol):
@@ -48,6 +66,10 @@ class SessionHost(Protocol):
     """Returns the codec of messages for this client. Raises ``TypesError``."""
     requests_bytes: int
     """The bytes of the client's requests that are under way."""
+
+    def siblings(self) -> Iterable[SiblingSession]:
+        """Yield the other sessions of the gateway that the client is: it has several links to us."""
+        ...
 
     @property
     def is_ros1(self) -> bool:

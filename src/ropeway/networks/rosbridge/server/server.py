@@ -282,6 +282,7 @@ class RosbridgeServer:
             names=self._names,
             ros1=self._ros1,
         )
+        session.all_sessions = self.sessions.keys
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task
         self.entrance.came(role)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway import aio
@@ -95,6 +95,7 @@ class Session:
         self.codec: Callable[[str], MessageCodec] = registry.codec if self.gateway else self._own_codec
         self.view = hub.view(connection.peer, echo=not self.gateway)
         self.remote: dict[str, str] = {}
+        self.all_sessions: Callable[[], Iterable[Session]] = tuple
         self.turns: Turns[ops.Op | Retire] = Turns(connection, self.peer.op_sender)
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
@@ -120,6 +121,13 @@ class Session:
         if self.gateway:
             self.peer.hello(gateway_id, name, express=True)
             self.peer.ping()
+
+    def siblings(self) -> Iterator[Session]:
+        """Yield the other sessions of the gateway that the client is: it has several links to us."""
+        gateway = self.remote.get("gateway") if self.gateway else None
+        for session in self.all_sessions() if gateway else ():
+            if session is not self and session.gateway and session.remote.get("gateway") == gateway:
+                yield session
 
     @property
     def connection(self) -> Connection:

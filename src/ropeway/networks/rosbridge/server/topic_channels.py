@@ -33,6 +33,7 @@ __all__ = ["REGISTRATION_BYTES", "TopicIn", "TopicOut", "topic_status"]
 log = logging.getLogger("ropeway.server")
 
 REGISTRATION_BYTES: Final = 2 << 10  # of one id of one topic: the operation, its names, and the place in tables
+_JUST_NS: Final = 1_000_000_000  # a link that may be cut is doubted well before, and another asked
 _LEAST_WEIGHT: Final = 0.1  # as in the configuration
 _MOST_WEIGHT: Final = 100.0
 _PRIORITY_OF_COMPRESSION: Final = {
@@ -208,6 +209,18 @@ class TopicOut:
         self._wanted_definition = bool(extra.get("want_definition"))
         if self.subscription is not None:
             self.follow(self.subscription.qos)
+
+    def just_sent(self) -> list[Sample]:
+        """Return the last small messages that the client got, or that are on their way to it."""
+        channel, since_ns = self.channel, time.time_ns() - _JUST_NS
+        recent = channel.sender.recent if channel is not None else None
+        return [sample for stream, sample in recent or () if stream is channel and sample.stamp_ns >= since_ns]
+
+    def send_again(self, samples: Sequence[Sample]) -> None:
+        """Send what went by another link of the client, which may have lost it; the client knows what comes twice."""
+        if self.channel is not None:
+            for sample in samples:
+                self.channel.put(sample)
 
     def _settle_rate(self, requests: Sequence[ops.Subscribe], rate_hz: float | None) -> None:
         """Set the limit: a gateway's rate is kept on average; rosbridge's least time between messages may

@@ -22,6 +22,7 @@ from ropeway.qos import QoS
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
+    from ropeway.graph.base import Sample
     from ropeway.networks.rosbridge.server.host import SessionHost
 
 __all__ = ["TopicOps", "TopicTypeConflict", "UnknownTopicError"]
@@ -101,6 +102,10 @@ class TopicOps:
             used = channel.used if channel is not None else ""
             lost = channel.queue.lost if channel is not None else {}
             yield topic_status(output.topic, "out", output.type, used, output.passage, lost)
+
+    def just_sent(self, topic: str) -> list[Sample]:
+        """Return the last small messages of a topic that the client got."""
+        return [sample for output in self._all_outputs() if output.topic == topic for sample in output.just_sent()]
 
     def _all_inputs(self) -> list[TopicIn]:
         return [*self.inputs.values(), *self.input_channels.values()]
@@ -317,6 +322,9 @@ class TopicOps:
         output.requests[key] = op
         try:
             output.settle()
+            if (op.ropeway or {}).get("again") is True and output.subscription is None:
+                for sibling in session.siblings():
+                    output.send_again(sibling.topics.just_sent(op.topic))
             await self._read(output, name, qos)
         except (RopewayError, ValueError):
             if output.subscription is None:
