@@ -41,8 +41,7 @@ QOS_DEPTH_SAMPLES: Final = 10_000
 """Samples that one writer, reader or history keeps. DDS allocates 8 bytes for each at the first sample."""
 
 DEPTH_PER_CLIENT_SAMPLES: Final = 200_000
-"""The depths above 100 of all topics that one client publishes, together: twenty of the deepest. Further topics get a
-depth of 100."""
+"""The depths above 100 of all topics that one client publishes, together: twenty of the deepest. Others get 100."""
 
 # ── Definitions of messages ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -88,8 +87,7 @@ FIELDS_PER_GRAPH: Final = 50_000
 # ── Operations of a rosbridge client ───────────────────────────────────────────────────────────────────────────────
 
 TOPICS_PER_CLIENT: Final = 800
-"""Topics that one client may publish, and as many that it may read. Each takes 17 KiB on a DDS network; a large robot
-has 600."""
+"""Topics that one client may publish, and as many that it may read (17 KiB each over DDS). Large robots have 600."""
 
 IDS_PER_TOPIC: Final = 1_024
 """Registrations, each with an id of its own, of one topic by one client."""
@@ -208,9 +206,7 @@ OVERLAY_WAYS: Final = 8
 """Links by which a gateway may send the same packet."""
 
 OVERLAY_LINK_WAITING_BYTES: Final = 4 << 20
-"""Packets that wait for one of several links of the overlay. Above, copies of the next are left out there: another link
-carries them.
-"""
+"""Packets that wait for one of several links of the overlay. Above, copies of the next are left out there."""
 
 OVERLAY_COPY_BYTES: Final = 4 << 10
 """A packet that comes by a second session, too: commands and the like, sealed."""
@@ -305,8 +301,7 @@ ZENOH_READ_BYTES: Final = 32 << 20
 """Messages of one topic that wait for the event loop. Above, the oldest go."""
 
 ZENOH_UNSENT_BYTES: Final = 32 << 20
-"""Messages of one publisher that wait for the network. Above, the oldest go; of best effort topics as many wait as the
-profile keeps."""
+"""Messages of one publisher that wait for the network. Above, the oldest go; of best effort topics, above the depth."""
 
 ZENOH_REQUESTS_BYTES: Final = 64 << 20
 """Requests of one service, or answers to one client, that wait for the event loop. Above, the oldest go."""
@@ -473,9 +468,7 @@ BROUGHT_TOPICS_PER_NODE: Final = 10_000
 # ── Groups ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 LINK_SENT_AGAIN_BYTES: Final = 1 << 20
-"""The last messages of a topic, or packets of the overlay, that are kept to be sent again by another link where one may
-have been cut.
-"""
+"""The last messages of a topic, or packets of the overlay, that may go again by another link where one may be cut."""
 
 HEDGED_BYTES: Final = 32 << 20
 """Messages of one topic that are kept until they are answered. Above, no second member is asked for them."""

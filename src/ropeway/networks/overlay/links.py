@@ -53,8 +53,8 @@ class Links:
         routers: Sequence[str],
         listen: Sequence[str],
         max_message_bytes: int,
-        *,
         interfaces: Sequence[str] = (),
+        *,
         links: str | None = None,
         link_s: float = _LINK_S,
     ) -> None:

@@ -114,14 +114,7 @@ class OverlayNode:
         self.trouble = ""  # why others refuse us
         self.policy = policy or (lambda verb, name, certificate: True)
         self.links = Links(
-            identity,
-            self.trust,
-            self.gateway,
-            self.routers,
-            self.listen,
-            max_message_bytes,
-            interfaces=interfaces,
-            links=links,
+            identity, self.trust, self.gateway, self.routers, self.listen, max_message_bytes, interfaces, links=links
         )
         self.fabric = self.links.fabric
         self.rib = Rib(self.secret, refused=self.refused)
