@@ -76,10 +76,9 @@ class Turns(Generic[Op]):
         """Whether an operation may run: none may while too many answers wait."""
         return bool(self.waiting) and self._answers.count <= WAITING_ANSWERS
 
-    def done(self) -> None:
-        """Forget the first operation: it was carried out."""
-        self.waiting.popleft()
-        self.ease()
+    def forget(self) -> None:
+        """Carry out nothing more of what waits: the client has left, maybe while an operation of it was carried out."""
+        self.waiting.clear()
 
     async def carry_out(self, do: Callable[[Op], Awaitable[None]], over: Callable[[], bool]) -> None:
         """Carry out the operations with ``do``, one after the other, until it is ``over``."""
@@ -87,7 +86,9 @@ class Turns(Generic[Op]):
             await self.wait()
             while self.ready and not over():
                 await do(self.waiting[0])
-                self.done()
+                if self.waiting:  # or the client has left meanwhile
+                    self.waiting.popleft()
+                self.ease()
                 await asyncio.sleep(0)  # others have their turn, however much this client asks for
 
     def look(self) -> None:

@@ -93,7 +93,7 @@ class ViewerSession:
             await self._leave()
 
     async def _leave(self) -> None:
-        self.turns.waiting.clear()
+        self.turns.forget()
         readers, self._readers = self._readers, {}
         for reader in readers.values():
             await reader.close()

@@ -158,13 +158,13 @@ class Session:
 
     async def give_up(self, reason: str) -> None:
         """Answer what the client waits for, before its connection is closed."""
-        self.turns.waiting.clear()
+        self.turns.forget()
         await self.services.give_up(reason)
         await self.actions.give_up(reason)
 
     async def _leave(self) -> None:
         """Take back everything but the topics that linger; ``withdraw`` takes those back."""
-        self.turns.waiting.clear()
+        self.turns.forget()
         if self._watch is not None:
             await self._watch.close()
         await self.services.leave()
