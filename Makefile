@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-BENCHES = control record dashboard paper scenarios applications calls small cost loopback urgent big wan start readers foxglove services clients overlay nodes anycast scale zenoh mqtt links
+BENCHES = control record dashboard paper scenarios applications calls small cost loopback urgent big wan start readers foxglove services hops clients overlay nodes anycast scale zenoh mqtt links
 # The tests of a file run in one process, one after the other; files run beside each other, the longest ones first
 # (tests/conftest.py, which also says how many files at a time).
 PARALLEL = -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder

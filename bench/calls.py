@@ -40,7 +40,7 @@ READ_CALLS: Final = 20
 """Calls from the DDS reader to the socket."""
 WRITE_CALLS: Final = 10
 """Calls from the socket to the DDS writer."""
-SERVICE_CALLS: Final = 150
+SERVICE_CALLS: Final = 145
 """Calls of both gateways for a service call, there and back."""
 ACTION_CALLS: Final = 500
 """Calls of both gateways for a goal, from its sending to its result."""

@@ -80,9 +80,11 @@ class LimitedHandler(_StreamHandler):
         return left
 
 
-def failed(log: logging.Logger, text: str, *args: object) -> None:
-    """Log the exception that is being handled: one line if it is an error of ours, as for bad input, else all of it."""
-    error = sys.exc_info()[1]
+def failed(log: logging.Logger, text: str, *args: object, error: BaseException | None = None) -> None:
+    """Log an exception, that which is being handled unless another is named: one line if it is an error of ours, as
+    for bad input, else all of it.
+    """
+    error = error or sys.exc_info()[1]
     if isinstance(error, RopewayError):
         log.warning("%s: %s", text % args, error, stacklevel=2)
     else:

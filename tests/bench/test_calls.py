@@ -14,10 +14,10 @@ _MOST: Final = {
     "publish: socket to DDS writer": 10,
     "subscribe: DDS reader to socket": 19,
     "subscribe: socket to DDS writer": 10,
-    "reserve-service: there and back": 149,
-    "expose-service: there and back": 141,
-    "reserve-action: there and back": 500,
-    "expose-action: there and back": 500,
+    "reserve-service: there and back": 143,
+    "expose-service: there and back": 137,
+    "reserve-action: there and back": 491,
+    "expose-action: there and back": 462,
 }
 
 

@@ -7,7 +7,8 @@ Rules that hold for every kind (``tests/contract`` checks them):
 * any number of calls and goals at a time; each is answered exactly once: a response, a ``CallError``, or, when the
   time is over, ``CallTimeout``;
 * a provider or a link that vanishes fails its calls at once (``ProviderLost``) and aborts its goals;
-* a handler runs as a task of its own, so that a slow one delays nobody; one that raises fails this call only;
+* a handler runs as a task of its own, so that a slow one delays nobody, or begins at once and waits for nothing
+  (``ropeway.graph.begun``); one that raises fails this call only;
 * a caller that stops waiting (timeout, cancelled task, ``close``) is forgotten: a late answer is dropped and counted.
 """
 

@@ -9,6 +9,7 @@ from typing import Final
 
 from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
+from ropeway.graph.begun import Begun
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
 from ropeway.tasks import Interruptible, background, end, settled
@@ -41,13 +42,14 @@ class InFlight:
 
     def __init__(self) -> None:
         self.blocks: set[Interruptible] = set()
+        self.begun: set[Begun] = set()
         self.ended = asyncio.Event()
         self.closed = False
 
     @property
     def busy(self) -> bool:
         """Whether a call is under way."""
-        return bool(self.blocks)
+        return bool(self.blocks or self.begun)
 
     def call(self) -> Interruptible:
         """Return a block in which a call runs."""
@@ -59,6 +61,8 @@ class InFlight:
     async def fail(self, error: RopewayError) -> None:
         """End all calls with ``error``, and wait until they have ended."""
         self.closed = True
+        for call in list(self.begun):
+            call.end(error)
         for block in list(self.blocks):
             if not block.mine:
                 block.interrupt(error)

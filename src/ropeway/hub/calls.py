@@ -9,6 +9,7 @@ from typing import Any, Final, Protocol
 
 from ropeway.errors import CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.base import Delivery, Graph, look_up
+from ropeway.graph.begun import BeginningClient, Begins, Begun, Ended
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     Client,
@@ -61,6 +62,14 @@ class SharedServices(SharedClients, Protocol):
         """
         ...
 
+    def is_new(self, request: Request) -> bool:
+        """Return whether ``begin`` would take the call."""
+        ...
+
+    def withdraw(self, request: Request) -> None:
+        """Forget a call that was not made after all."""
+        ...
+
     def settle(self, request: Request, pending: PendingCall, how: bytes | BaseException) -> None:
         """Note how a call has ended."""
         ...
@@ -105,11 +114,13 @@ class ViewClient:
         self.closed = False
         self._calls = calls
         self._inner: Client | None = None
+        self._begins: Begins | None = None
         self._under_way = InFlight()
 
     async def attach(self, delivery: Delivery) -> None:
         """Get the client of the graph."""
-        self._inner = await self._calls.acquire("service", self.service, self.type, delivery)
+        inner = self._inner = await self._calls.acquire("service", self.service, self.type, delivery)
+        self._begins = inner.begin if isinstance(inner, BeginningClient) else None
 
     def _provider(self) -> ViewService | None:
         entry = self._calls.services.holder(self.service)
@@ -150,6 +161,32 @@ class ViewClient:
             if timeout_s < NOBODY_S and self.listed:  # the caller's time was too short for a server that came just now
                 raise CallTimeout(self.service, timeout_s)
             raise NotServed(self.service)
+
+    def begin(self, request: Request, timeout_s: float, ended: Ended) -> Begun | None:
+        """See ``BeginningClient``: where the graph serves it, and no view."""
+        calls, begins, begun = self._calls, self._begins, self._under_way.begun
+        if (
+            self.closed
+            or begins is None
+            or calls.services.holder(self.service) is not None
+            or not calls.is_new(request)
+        ):
+            return None
+        pending = calls.begin(self.service, request)
+        assert pending is not None
+
+        def over(how: bytes | BaseException) -> None:
+            begun.discard(call)
+            calls.settle(request, pending, how)
+            ended(how)
+
+        made = begins(request, timeout_s, over)
+        if made is None:
+            calls.withdraw(request)
+            return None
+        call = made
+        begun.add(call)
+        return call
 
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``."""

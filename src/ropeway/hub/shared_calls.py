@@ -144,6 +144,14 @@ class HubCalls:
             calls.popitem(last=False)
         return pending
 
+    def is_new(self, request: Request) -> bool:
+        """Return whether a call was not made before, by whatever way, and did not go in a circle."""
+        return request.id not in self._calls and self.gateway_id not in request.via
+
+    def withdraw(self, request: Request) -> None:
+        """Forget a call that was not made after all."""
+        del self._calls[request.id]
+
     def settle(self, request: Request, pending: PendingCall, how: bytes | BaseException) -> None:
         """Record the end of a call. One that was not carried out may be tried again; a long answer is not kept."""
         if isinstance(how, (NotServed, GraphUnavailable)):

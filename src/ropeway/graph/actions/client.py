@@ -178,9 +178,10 @@ class ComposedActionClient:
         sent = self._goals[goal.id] = ComposedGoal(self, goal.id, on_feedback)
         sending: asyncio.Task[None] | None = None
         try:
-            if not await self.wait_available(timeout_s):
-                raise NotServed(self.action, "action")
-            self._check()
+            if not self.available:
+                if not await self.wait_available(timeout_s):
+                    raise NotServed(self.action, "action")
+                self._check()
             left_s = max(deadline - loop.time(), 0.001)
             sending = asyncio.create_task(self._negotiate(goal, sent, left_s), name=f"goal for {self.action}")
             self._sending.add(sending)

@@ -8,6 +8,7 @@ import logging
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
+from itertools import chain, islice
 from typing import Final
 
 from ropeway import aio
@@ -28,7 +29,7 @@ from ropeway.graph.actions.parts import (
 )
 from ropeway.graph.base import NO_HINTS, SEQ_NONE, Delivery, Graph, Publisher, Sample, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal, Service
-from ropeway.tasks import background, end, settled
+from ropeway.tasks import background, end
 from ropeway.types import TypeRegistry
 
 __all__ = ["ComposedActionServer"]
@@ -39,6 +40,7 @@ _GOALS_LIMIT: Final = 10_000  # under way at a time; more are rejected
 _KEPT: Final = 256  # ended goals whose result can still be asked for …
 _KEPT_BYTES: Final = 64 << 20  # … with results of so many bytes in total …
 _KEPT_S: Final = 900.0  # … for so long, as in ROS 2 up to Iron; later distributions keep them 10 s
+_TOLD: Final = 32  # goals that ended last: nodes decode the states of all that are told at each step of one
 _EARLY_FEEDBACK: Final = 256  # before a goal is accepted; the oldest goes first
 _CLOSE_S: Final = 2.0  # how long closing waits for the answers to those who wait for results
 _ASK_S: Final = 1.0  # who wants the result of a goal asks for it so soon after it was accepted
@@ -50,7 +52,8 @@ class _Tracked:
     def __init__(self, goal: ServerGoal, stamp_ns: int) -> None:
         self.goal = goal
         self.stamp_ns = stamp_ns
-        self.response: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        self.response = b""  # with the result, once it has ended
+        self.waiting: set[asyncio.Future[None]] = set()  # those who have asked for the result
         self.work: asyncio.Task[None] | None = None
         self.taken_s = asyncio.get_running_loop().time()
         self.asked = asyncio.Event()  # somebody asks for its result
@@ -91,6 +94,7 @@ class ComposedActionServer:
         self._goals: dict[bytes, _Tracked] = {}
         self._ended: OrderedDict[bytes, _Tracked] = OrderedDict()
         self._ended_bytes = 0
+        self._untold = 0  # goals that have ended since the states were published
         self._expiry: asyncio.TimerHandle | None = None
         self._waiting = 0
         self._all_answered = asyncio.Event()
@@ -125,6 +129,7 @@ class ComposedActionServer:
         under_way = list(self._goals.values())
         for tracked in under_way:
             self._finish(tracked, Outcome(GoalStatus.ABORTED, None, "the action server was closed"))
+        self._tell_ends()
         await end(*(tracked.work for tracked in under_way))
         await self._be_asked(under_way)
         if self._waiting:
@@ -168,11 +173,12 @@ class ComposedActionServer:
         if not await self._accepts(goal):
             return self._parts.accepted(False, stamp_ns)
         tracked = self._goals[id] = _Tracked(goal, stamp_ns)
-        self._publish_status()
         goal.feedback = lambda feedback: self._send_feedback(id, feedback)
         for feedback in early:
             goal.feedback(feedback)
-        tracked.work = background(self._carry_out(tracked), f"goal of {self.action}")
+        tracked.work = background(
+            self._carry_out(tracked), f"goal of {self.action}"
+        )  # tells the state after the answer
         return self._parts.accepted(True, stamp_ns)
 
     async def _accepts(self, goal: ServerGoal) -> bool:
@@ -221,24 +227,33 @@ class ComposedActionServer:
             status = GoalStatus.ABORTED
             response = self._parts.result(status, None)
         tracked.become(status)
-        tracked.response.set_result(response)
+        tracked.response = response
+        for waiting in tracked.waiting:
+            if not waiting.done():
+                waiting.set_result(None)
         self._goals.pop(tracked.goal.id, None)
         self._keep(tracked)
-        self._publish_status()
+        self._untold += 1
+        if self._untold == 1:  # their results go first: a node takes long for the states
+            asyncio.get_running_loop().call_soon(self._tell_ends)
+
+    def _tell_ends(self) -> None:
+        if self._untold:
+            self._publish_status()
 
     # ── what is kept of goals that have ended ──────────────────────────────────────────────────────────────────
 
     def _keep(self, tracked: _Tracked) -> None:
         tracked.ended_s = asyncio.get_running_loop().time()
         self._ended[tracked.goal.id] = tracked
-        self._ended_bytes += len(tracked.response.result())
+        self._ended_bytes += len(tracked.response)
         while len(self._ended) > _KEPT or (self._ended_bytes > _KEPT_BYTES and len(self._ended) > 1):
             self._drop_oldest()
         self._expire()
 
     def _drop_oldest(self) -> None:
         _, oldest = self._ended.popitem(last=False)
-        self._ended_bytes -= len(oldest.response.result())
+        self._ended_bytes -= len(oldest.response)
 
     def _expire(self) -> None:
         loop = asyncio.get_running_loop()
@@ -262,13 +277,16 @@ class ComposedActionServer:
             return self._parts.result(GoalStatus.UNKNOWN, None)
         self._waiting += 1
         tracked.asked.set()
+        waiting: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        tracked.waiting.add(waiting)
         try:
-            await settled(tracked.response)
+            await (asyncio.sleep(0) if tracked.response else waiting)  # what was sent before it comes first
         finally:
+            tracked.waiting.discard(waiting)
             self._waiting -= 1
             if not self._waiting:
                 self._all_answered.set()
-        return tracked.response.result()
+        return tracked.response
 
     # ── cancel_goal ────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -322,7 +340,9 @@ class ComposedActionServer:
     def _publish_status(self) -> None:
         if self._status is None:
             return
-        message = status_array([tracked.told for table in (self._ended, self._goals) for tracked in table.values()])
+        ended = islice(self._ended.values(), max(0, len(self._ended) - max(_TOLD, self._untold)), None)
+        self._untold = 0
+        message = status_array([tracked.told for tracked in chain(ended, self._goals.values())])
         self._status.publish(Sample(message, STATUS_TYPE, time.time_ns(), bytes(16), SEQ_NONE))
 
     def _blame(self, doing: str, error: Exception) -> None:

@@ -43,13 +43,19 @@ class AnswerPacing:
         """Whether no request is under way."""
         return not self._open
 
-    async def turn(self) -> None:
-        """Wait until an answer may go."""
+    def may_go(self) -> bool:
+        """Return whether an answer may go now, which it does then."""
         now = self._loop.time()
         self._tokens = min(_BURST, self._tokens + (now - self._at) / _STEP_S)
         self._at = now
-        if self._tokens >= 1 and not self._turns:
-            self._tokens -= 1
+        if self._tokens < 1 or self._turns:
+            return False
+        self._tokens -= 1
+        return True
+
+    async def turn(self) -> None:
+        """Wait until an answer may go."""
+        if self.may_go():
             return
         turn: asyncio.Future[None] = self._loop.create_future()
         self._turns.append(turn)

@@ -8,11 +8,11 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 from ropeway import aio
 from ropeway.errors import (
-    CallError,
     CallFailed,
     CallTimeout,
     GraphUnavailable,
@@ -22,12 +22,13 @@ from ropeway.errors import (
     ValueMismatch,
 )
 from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.begun import Begun, Ended
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
 from ropeway.logs import failed
 from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.networks.dds.matching import paired
 from ropeway.networks.dds.records import MatchedEndpoint
-from ropeway.networks.dds.rpc import MAX_SEQ, RequestHeader, join, split
+from ropeway.networks.dds.rpc import HEADER_BYTES, MAX_SEQ, RequestHeader, join, split
 from ropeway.networks.dds.service_endpoints import LITTLE_ENDIAN, DdsCallHost, Ends
 from ropeway.networks.dds.vendors import HEADER_VENDOR, speaks_header, vendor_name
 from ropeway.tasks import background, end
@@ -49,18 +50,12 @@ _DEFERRED: Final = "/_action/get_result"
 _new: Final = tuple.__new__  # of named tuples, without a call of Python
 
 
-class _Call:
-    """A call under way: who may answer it, and how it ended."""
+class _Call(Begun):
+    """A call under way, and who may answer it."""
 
-    __slots__ = ("outcome", "servers")
+    __slots__ = ("servers",)
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, servers: set[bytes]) -> None:
-        self.servers = servers
-        self.outcome: asyncio.Future[bytes | CallError | GraphUnavailable | TimeoutError] = loop.create_future()
-
-    def finish(self, outcome: bytes | CallError | GraphUnavailable | TimeoutError) -> None:
-        if not self.outcome.done():
-            self.outcome.set_result(outcome)
+    servers: frozenset[bytes]
 
 
 class DdsClient(Ends):
@@ -79,6 +74,7 @@ class DdsClient(Ends):
         self._waiting = 0
         self._window = InFlightRequests(deferred=self.service.endswith(_DEFERRED))
         self._servers: dict[bytes, float] = {}  # ours to call, and when each was matched
+        self._who_serves: frozenset[bytes] = frozenset()
         self._all_ours = False
         self._ready_at = math.inf  # when a request may go to them
         self._fresh_until = 0.0
@@ -102,6 +98,42 @@ class DdsClient(Ends):
             await self._change(until)
         return self.available
 
+    def begin(self, request: Request, timeout_s: float, ended: Ended) -> Begun | None:
+        """See ``BeginningClient``: with servers that were matched a while ago, and room at them."""
+        loop, window = self._loop, self._window
+        now = loop.time()
+        if self.closed or now < self._ready_at or now < self._fresh_until or self._waiting >= _CALLS_LIMIT:
+            return None
+        try:
+            payload = self._graph.layouts.write("server", self.service, self._request_type, request.payload)
+        except ValueMismatch:
+            return None  # ``call`` says so
+        if not self._writer.sends_at_once(len(payload) + HEADER_BYTES) or not (ticket := window.try_enter()):
+            return None
+        seq = self._seq = self._seq % MAX_SEQ + 1
+        if self._writer.send_at_once(join(_new(RequestHeader, (self._id, seq)), payload)) is not None:
+            window.leave(ticket, answered=False)
+            return None
+
+        def over(how: bytes | BaseException) -> None:
+            del self._calls[seq]
+            self._waiting -= 1
+            window.leave(ticket, answered=not isinstance(how, (TimeoutError, asyncio.CancelledError)))
+            if isinstance(how, bytes):
+                try:
+                    how = self._graph.layouts.read("server", self.service, self._response_type, how)
+                except TypesError as error:
+                    how = self._unfit(error)
+            elif isinstance(how, TimeoutError):
+                how = CallTimeout(self.service, timeout_s)
+            ended(how)
+
+        self._waiting += 1
+        call = self._calls[seq] = _Call(over)
+        call.servers = self._who_serves
+        call.expiry = loop.call_at(now + timeout_s, call.expire)
+        return call
+
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``. ``CallFailed`` also where only servers of another mapping are there and nobody helps."""
         if self.closed:
@@ -122,11 +154,14 @@ class DdsClient(Ends):
                 response = await self._call_other(replace(request, payload=payload), until)
             return layouts.read("server", self.service, self._response_type, response)
         except ValueMismatch as error:
-            raise CallFailed(self.service, f"the server's layout cannot hold the request: {error}") from error
+            raise self._unfit(error) from error
         except TimeoutError:
             raise CallTimeout(self.service, timeout_s) from None
         finally:
             self._waiting -= 1
+
+    def _unfit(self, error: TypesError) -> CallFailed:
+        return CallFailed(self.service, f"the server's layout cannot hold the request: {error}")
 
     async def _turn(self, until: float) -> int:
         """Wait for a server and for room at it; return the ticket, 0 where only those of another mapping serve."""
@@ -140,8 +175,9 @@ class DdsClient(Ends):
 
     async def _ask(self, payload: bytes, until: float, ticket: int) -> bytes:
         seq = self._seq = self._seq % MAX_SEQ + 1
-        call = self._calls[seq] = _Call(self._loop, set(self._servers))
-        outcome = call.outcome
+        outcome: asyncio.Future[bytes | BaseException] = self._loop.create_future()
+        call = self._calls[seq] = _Call(partial(_resolve, outcome))
+        call.servers = self._who_serves
         answered = False
         try:
             if self.closed:
@@ -151,13 +187,13 @@ class DdsClient(Ends):
                 await self._send_again(message, reason, until)
             if self._loop.time() < self._fresh_until:
                 await self._repeat(message, outcome, until)
-            expiry = self._loop.call_at(until, call.finish, TimeoutError())
-            try:
-                how = await outcome
-            finally:
-                expiry.cancel()
+            if not outcome.done():
+                call.expiry = self._loop.call_at(until, call.expire)
+            how = await outcome
             answered = not isinstance(how, TimeoutError)
         finally:
+            if call.expiry is not None:
+                call.expiry.cancel()
             del self._calls[seq]
             self._window.leave(ticket, answered=answered)
         if isinstance(how, bytes):
@@ -248,7 +284,7 @@ class DdsClient(Ends):
             if reply.header.client != self._id:
                 continue
             call = self._calls.get(reply.header.seq)
-            if call is None or call.outcome.done():
+            if call is None or call.over:
                 self.late += 1
                 log.debug("%s: %s: answer %d came late", self._graph.name, self.service, reply.header.seq)
                 continue
@@ -256,10 +292,11 @@ class DdsClient(Ends):
                 payload = reply.payload
                 if payload[1] != LITTLE_ENDIAN:
                     payload = self._graph.little_endian(self._response_type, payload)
-                call.finish(payload)
             except TypesError as error:
                 self._graph.drops[self.service, Undelivered.DECODE] += 1
-                call.finish(CallFailed(self.service, f"the answer cannot be read: {error}"))
+                call.end(CallFailed(self.service, f"the answer cannot be read: {error}"))
+            else:
+                call.end(payload)
 
     def on_match(self) -> None:
         """Take the current list of matched servers."""
@@ -271,6 +308,7 @@ class DdsClient(Ends):
         mine = {guid: peer for guid, peer in found.items() if speaks_header(guid)}
         self._lost |= self._servers.keys() - mine.keys()
         self._servers = {guid: self._servers.get(guid, now) for guid in mine}
+        self._who_serves = frozenset(mine)
         self._all_ours = all(peer.ours for peer in mine.values())
         matched = self._servers.values()
         self._ready_at = min(matched, default=math.inf) + (0.0 if self._all_ours else _SETTLE_S)
@@ -293,10 +331,10 @@ class DdsClient(Ends):
                 pass
             except Exception:  # what had arrived cannot be read; the calls fail all the same
                 failed(log, "%s: reading answers of %s failed", self._graph.name, self.service)
-            for call in self._calls.values():
+            for call in list(self._calls.values()):
                 call.servers -= lost
                 if not call.servers:
-                    call.finish(ProviderLost(self.service, "its server has left"))
+                    call.end(ProviderLost(self.service, "its server has left"))
         self._losing = None
 
     async def close(self) -> None:
@@ -305,11 +343,16 @@ class DdsClient(Ends):
             return
         self.closed = True
         self._changed.notify()
-        for call in self._calls.values():
-            call.finish(GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call"))
+        for call in list(self._calls.values()):
+            call.end(GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call"))
         self._window.close()
         await end(self._losing)
         async with self._helping:
             if self._helped is not None:
                 await self._helped.close()
         await self._graph.remove(self)
+
+
+def _resolve(outcome: asyncio.Future[bytes | BaseException], how: bytes | BaseException) -> None:
+    if not outcome.done():
+        outcome.set_result(how)

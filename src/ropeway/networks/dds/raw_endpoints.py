@@ -275,17 +275,25 @@ class RawWriter:
         else:
             self._enqueue(payload, source_stamp_ns)
 
+    def sends_at_once(self, size: int) -> bool:
+        """Return whether a sample of ``size`` bytes can be sent without the writer thread."""
+        return size < _COURIER_BYTES and self._in_count == self._out_count and not self.closed
+
+    def send_at_once(self, payload: bytes) -> Undelivered | None:
+        """Send without the writer thread, where ``sends_at_once`` says so; return why it was not sent."""
+        reason = self.write(payload, in_turn=False)
+        if reason is None and not self._unflushed:  # the first goes at once, others of this turn go together
+            self._unflushed = True
+            lib.write_flush(self.entity)
+            self._loop.call_soon(self._flush)
+        return reason
+
     async def send(self, payload: bytes) -> Undelivered | None:
         """Send like ``write``, and tell what became of it: ``None``, or why it was not sent."""
         if self.closed:
             return Undelivered.CLOSED
-        if len(payload) < _COURIER_BYTES and self._in_count == self._out_count:
-            reason = self.write(payload, in_turn=False)
-            if reason is None and not self._unflushed:  # the first goes at once, others of this turn go together
-                self._unflushed = True
-                lib.write_flush(self.entity)
-                self._loop.call_soon(self._flush)
-            return reason
+        if self.sends_at_once(len(payload)):
+            return self.send_at_once(payload)
         if self._in_bytes - self._out_bytes > _PENDING_LIMIT_BYTES:
             return Undelivered.WRITE
         done: asyncio.Future[Undelivered | None] = self._loop.create_future()

@@ -5,19 +5,20 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
 from ropeway import aio
 from ropeway.errors import CallError, GraphError, TypesError
 from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.begun import BeginningHandler, Begun, Ended
 from ropeway.graph.calls import Request, Service, ServiceHandler
 from ropeway.logs import failed
 from ropeway.networks.dds.answer_pacing import AnswerPacing
 from ropeway.networks.dds.matching import paired
 from ropeway.networks.dds.records import MatchedEndpoint
-from ropeway.networks.dds.rpc import RequestHeader, join, split
+from ropeway.networks.dds.rpc import HEADER_BYTES, RequestHeader, join, split
 from ropeway.networks.dds.service_endpoints import LITTLE_ENDIAN, DdsCallHost, Ends
 from ropeway.networks.dds.vendors import HEADER_VENDOR, vendor_name
 from ropeway.tasks import Chores
@@ -37,7 +38,7 @@ _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
 class DdsService(Ends):
-    """Serves ``service`` with ``handler``, each request in a task of its own, and each request once.
+    """Serves ``service`` with ``handler``, each request once: in a task of its own, unless it can begin at once.
 
     ROS 2 has no errors of services: a request that fails is answered with the default response, in which ``message``
     or ``reason`` says why where the type has them beside ``success`` or ``successful``.
@@ -50,6 +51,8 @@ class DdsService(Ends):
         self._request_type, self._response_type = f"{self.type}_Request", f"{self.type}_Response"
         self.ignored = 0  # requests of another mapping, which the graph's helper serves where there is one
         self._handler = handler
+        self._begins = handler.begin if isinstance(handler, BeginningHandler) else None
+        self._begun: set[Begun] = set()
         self._helped: Service | None = None
         self._serving = Chores()
         self._seen: dict[tuple[bytes, RequestHeader], None] = {}
@@ -113,7 +116,7 @@ class DdsService(Ends):
         if key in self._seen:
             log.debug("%s: %s: request %d came twice", self._graph.name, self.service, header.seq)
             return
-        if len(self._serving.tasks) >= _RUNNING_LIMIT:
+        if len(self._serving.tasks) + len(self._begun) >= _RUNNING_LIMIT:
             self._graph.drops[self.service, Undelivered.BACKLOG] += 1
             self._warn("%s requests are under way; more are dropped", _RUNNING_LIMIT)
             return
@@ -124,7 +127,8 @@ class DdsService(Ends):
         if pace is None:
             pace = self._paces[writer] = AnswerPacing()
         pace.came()
-        self._serving.start(self._serve(writer, header, payload, pace), f"serve {self.service}")
+        if self._begins is None or not self._begin(writer, header, payload, pace, self._begins):
+            self._serving.start(self._serve(writer, header, payload, pace), f"serve {self.service}")
 
     def _warn(self, text: str, value: object) -> None:
         """Say so in the log, each kind of trouble once a minute; the counts are in ``drops``."""
@@ -137,28 +141,98 @@ class DdsService(Ends):
 
     # Serving ----------------------------------------------------------------------------------------------------
 
+    def _begin(
+        self,
+        writer: bytes,
+        header: RequestHeader,
+        payload: bytes,
+        pace: AnswerPacing,
+        begins: Callable[[Request, Ended], Begun | None],
+    ) -> bool:
+        """Begin to serve a request now; return false, having done nothing, where that takes a task."""
+        if payload[1] != LITTLE_ENDIAN:
+            return False
+        try:
+            payload = self._graph.layouts.read("client", self.service, self._request_type, payload, writer)
+        except TypesError:
+            return False
+
+        def over(how: bytes | BaseException) -> None:
+            self._begun.discard(call)
+            if not self.closed and not self._answer_at_once(writer, header, how, pace):
+                self._serving.start(self._conclude(writer, header, how, pace), f"serve {self.service}")
+            else:
+                self._went(writer, pace)
+
+        begun = begins(Request(payload, _call_id(writer, header), (), self._graph.node_of(writer)), over)
+        if begun is None:
+            return False
+        call = begun
+        self._begun.add(call)
+        return True
+
+    def _answer_at_once(
+        self, writer: bytes, header: RequestHeader, how: bytes | BaseException, pace: AnswerPacing
+    ) -> bool:
+        caller = self._callers.get(writer)
+        if caller is None or not isinstance(how, bytes) or len(how) < _SHORTEST_BYTES:
+            return False
+        try:
+            response = self._graph.layouts.write("client", self.service, self._response_type, how, writer)
+        except TypesError:
+            return False
+        if not self._writer.sends_at_once(len(response) + HEADER_BYTES) or not (caller.ours or pace.may_go()):
+            return False
+        return self._writer.send_at_once(join(header, response)) is None
+
+    def _went(self, writer: bytes, pace: AnswerPacing) -> None:
+        if pace.went() and writer not in self._callers:
+            self._paces.pop(writer, None)
+
+    async def _conclude(
+        self, writer: bytes, header: RequestHeader, how: bytes | BaseException, pace: AnswerPacing
+    ) -> None:
+        """Answer a request that was begun, with what came of it."""
+        try:
+            response = self._response(how)
+            response = self._graph.layouts.write("client", self.service, self._response_type, response, writer)
+            await self._send(writer, header, response, pace)
+        except TypesError as error:
+            self._unanswerable(error)
+        finally:
+            self._went(writer, pace)
+
+    def _unanswerable(self, error: TypesError) -> None:
+        self._graph.drops[self.service, Undelivered.ENCODE] += 1
+        self._warn("a request fails and cannot be answered: %s", error)
+
     async def _serve(self, writer: bytes, header: RequestHeader, payload: bytes, pace: AnswerPacing) -> None:
-        graph = self._graph
-        reason, problem = Undelivered.DECODE, "a request cannot be read: %s"
         try:
             if payload[1] != LITTLE_ENDIAN:
-                payload = graph.little_endian(self._request_type, payload)
-            request = Request(payload, _call_id(writer, header), (), graph.node_of(writer))
-            reason, problem = Undelivered.ENCODE, "a request fails and cannot be answered: %s"
-            response = await self.answer(request, writer)
-        except TypesError as error:
-            graph.drops[self.service, reason] += 1
-            self._warn(problem, error)
-        else:
-            if writer in self._callers or await self._matched(writer):
-                if not self._callers[writer].ours:
-                    await pace.turn()
-                message = join(header, response)
-                if (not_sent := await self._writer.send(message)) is not None:
-                    await self._send_again(message, not_sent)
+                try:
+                    payload = self._graph.little_endian(self._request_type, payload)
+                except TypesError as error:
+                    self._graph.drops[self.service, Undelivered.DECODE] += 1
+                    self._warn("a request cannot be read: %s", error)
+                    return
+            request = Request(payload, _call_id(writer, header), (), self._graph.node_of(writer))
+            try:
+                response = await self.answer(request, writer)
+            except TypesError as error:
+                self._unanswerable(error)
+            else:
+                await self._send(writer, header, response, pace)
         finally:
-            if pace.went() and writer not in self._callers:
-                self._paces.pop(writer, None)
+            self._went(writer, pace)
+
+    async def _send(self, writer: bytes, header: RequestHeader, response: bytes, pace: AnswerPacing) -> None:
+        """Send an answer once the one who asked reads answers, and has taken those before."""
+        if writer in self._callers or await self._matched(writer):
+            if not self._callers[writer].ours:
+                await pace.turn()
+            message = join(header, response)
+            if (not_sent := await self._writer.send(message)) is not None:
+                await self._send_again(message, not_sent)
 
     async def _matched(self, writer: bytes) -> bool:
         """Wait until the one who asked reads answers; false for one that does not, or has left."""
@@ -183,18 +257,25 @@ class DdsService(Ends):
         payload = layouts.read("client", name, self._request_type, request.payload, writer)
         if payload is not request.payload:
             request = replace(request, payload=payload)
+        how: bytes | BaseException
         try:
-            response = bytes(await self._handler(request))
-            if len(response) < _SHORTEST_BYTES:
-                self._graph.drops[self.service, Undelivered.ENCODE] += 1
-                response = self._failure(f"a response of {len(response)} bytes is not CDR", logged=True)
-        except CallError as error:
-            response = self._failure(str(error), logged=True)
+            how = bytes(await self._handler(request))
         except Exception as error:  # a handler is somebody else's code; its failure is this call's
-            self._graph.drops[self.service, Undelivered.CALLBACK] += 1
-            failed(log, "%s: the handler of %s failed", self._graph.name, self.service)
-            response = self._failure(str(error) or type(error).__name__)
-        return layouts.write("client", name, self._response_type, response, writer)
+            how = error
+        return layouts.write("client", name, self._response_type, self._response(how), writer)
+
+    def _response(self, how: bytes | BaseException) -> bytes:
+        """Return what a request is answered with, of which this came."""
+        if isinstance(how, bytes):
+            if len(how) >= _SHORTEST_BYTES:
+                return how
+            self._graph.drops[self.service, Undelivered.ENCODE] += 1
+            return self._failure(f"a response of {len(how)} bytes is not CDR", logged=True)
+        if isinstance(how, CallError):
+            return self._failure(str(how), logged=True)
+        self._graph.drops[self.service, Undelivered.CALLBACK] += 1
+        failed(log, "%s: the handler of %s failed", self._graph.name, self.service, error=how)
+        return self._failure(str(how) or type(how).__name__)
 
     def _failure(self, text: str, *, logged: bool = False) -> bytes:
         """Return the default response, with ``text`` where the type has a place for it."""
@@ -224,6 +305,8 @@ class DdsService(Ends):
             return
         self.closed = True
         await self.end_help()
+        for call in list(self._begun):
+            call.give_up()
         await self._serving.close()
         await self._graph.remove(self)
 

@@ -21,6 +21,7 @@ from ropeway.errors import (
     UnknownType,
 )
 from ropeway.graph.base import Delivery, Undelivered
+from ropeway.graph.begun import Begun, Ended, Handler, into
 from ropeway.graph.calls import Request, new_id
 from ropeway.hub.hub import Hub
 from ropeway.networks.memory.graph import MemoryGraph
@@ -656,3 +657,104 @@ async def test_server_restarts(stack: AsyncExitStack, cloud: Cloud) -> None:
     gate.open.set()
     await cloud.start()
     assert await client.call(Request(addends(7)), 20) == total(7)
+
+
+# ── calls that are begun without a task ────────────────────────────────────────────────────────────────────────────
+
+
+async def begun(client: RemoteClient, far: ScriptedGateway, timeout_s: float = PATIENCE_S) -> asyncio.Future[bytes]:
+    """Begin a call at once; gives its end."""
+    ended: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+    await until(lambda: client._calls.peer is not None)
+    assert client.begin(Request(addends(5)), timeout_s, into(ended)) is not None
+    await far.hear("call_service")
+    return ended
+
+
+def reply_to(far: ScriptedGateway, number: int = 0) -> None:
+    """Answer a call."""
+    op = [op for op in far.heard if isinstance(op, ops.CallService)][number]
+    reply = ops.ServiceResponse(id=op.id, service=op.service, values=None, result=True)
+    far.peer.send_op(reply, payload=total(5), field="values")
+
+
+async def test_begun_call(stack: AsyncExitStack, far: ScriptedGateway) -> None:
+    """A call that is begun at once ends with its answer, once; another answer counts as late."""
+    graph = await played(stack, far)
+    client = await graph.create_client("/add", ADD)
+    ended = await begun(client, far)
+    reply_to(far)
+    reply_to(far)
+    assert await ended == total(5)
+    await until(lambda: graph.drops["/add", Undelivered.LATE] == 1)
+    assert not client._under_way.busy
+    assert not client._calls.pending
+
+
+async def test_begun_call_is_not_served(stack: AsyncExitStack, far: ScriptedGateway) -> None:
+    """A call that is begun at once and not served is made again, as others are."""
+    graph = await played(stack, far)
+    ended = await begun(await graph.create_client("/add", ADD), far)
+    (op,) = await far.hear("call_service")
+    note = {"error": "not_served"}
+    far.peer.send_op(ops.ServiceResponse(id=op.id, service="/add", values="no", result=False, ropeway=note))
+    await far.hear("call_service", 2)
+    reply_to(far, 1)
+    assert await ended == total(5)
+
+
+async def test_begun_call_ends_with_the_link(stack: AsyncExitStack, far: ScriptedGateway) -> None:
+    """A call that is begun at once fails when its link is lost."""
+    graph = await played(stack, far)
+    ended = await begun(await graph.create_client("/add", ADD), far)
+    far.peer.connection.abort("gone")
+    with pytest.raises(ProviderLost, match="was lost"):
+        await ended
+
+
+async def test_begun_call_takes_too_long(stack: AsyncExitStack, far: ScriptedGateway) -> None:
+    """A call that is begun at once fails when its time is over."""
+    graph = await played(stack, far)
+    client = await graph.create_client("/add", ADD)
+    with pytest.raises(CallTimeout):
+        await (await begun(client, far, 0.05))
+    assert not client._calls.pending
+
+
+async def test_begun_call_of_a_closed_client(stack: AsyncExitStack, far: ScriptedGateway) -> None:
+    """A call that is begun at once fails when its client is closed, which then begins no other."""
+    graph = await played(stack, far)
+    client = await graph.create_client("/add", ADD)
+    ended = await begun(client, far)
+    await client.close()
+    with pytest.raises(GraphUnavailable, match="closed"):
+        await ended
+    assert client.begin(Request(addends(5)), PATIENCE_S, lambda _: None) is None
+
+
+async def test_begun_answers(stack: AsyncExitStack, far: ScriptedGateway) -> None:
+    """A service whose handler begins at once answers each call once, and gives up what is under way with the link."""
+    graph = await played(stack, far)
+    calls: list[Begun] = []
+
+    async def wait(request: Request) -> bytes:
+        raise AssertionError("it begins at once")
+
+    def begin(request: Request, ended: Ended) -> Begun:
+        calls.append(Begun(ended))
+        return calls[-1]
+
+    await graph.create_service("/add", ADD, Handler(wait, begin))
+    await far.hear("advertise_service")
+    ends: tuple[bytes | Exception, ...] = (total(5), CallFailed("/add", "so it is"), ZeroDivisionError("boom"))
+    for i, how in enumerate(ends):
+        far.peer.send_op(ops.CallService(id=f"{i}", service="/add", args=None), payload=addends(i), field="args")
+        await until(lambda i=i: len(calls) == i + 1)
+        calls[i].end(how)
+    replies = await far.hear("service_response", 3)
+    assert [(reply.id, reply.result) for reply in replies] == [("0", True), ("1", False), ("2", False)]
+    assert [reply.values for reply in replies[1:]] == ["so it is", "boom"]
+    far.peer.send_op(ops.CallService(id="3", service="/add", args=None), payload=addends(3), field="args")
+    await until(lambda: len(calls) == 4)
+    far.peer.connection.abort("gone")
+    await until(lambda: calls[3].over)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from ropeway.errors import CallFailed, GoalRejected, NotServed
+from ropeway.graph.begun import Begun, Ended
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from tests.support.actions import FIBONACCI, Worker, count, order, sequence
@@ -249,3 +250,64 @@ async def test_provider_leaves_before_it_accepts(place: Place) -> None:
     provider.abort()
     got = await caller.json(3)
     assert (got["op"], got["status"], got["result"]) == ("action_result", 0, False)
+
+
+# ── calls that are begun without a task ────────────────────────────────────────────────────────────────────────────
+
+
+class Beginner:
+    """Stands in for the client of a graph that can begin calls at once; keeps those that it began."""
+
+    def __init__(self) -> None:
+        self.calls: list[Begun] = []
+        self.full = False
+
+    def begin(self, request: Request, timeout_s: float, ended: Ended) -> Begun | None:
+        if self.full:
+            return None
+        self.calls.append(Begun(ended))
+        return self.calls[-1]
+
+
+async def begins(place: Place, client: Client) -> Beginner:
+    """Have the client that is kept for a gateway's calls begin them at once."""
+    await place.robot.create_service("/add", ADD, add)
+    client.send(call())
+    await next_op(client)
+    beginner = Beginner()
+    (kept,) = place.session.services._clients.kept.values()
+    kept._begins = beginner.begin
+    return beginner
+
+
+async def test_begun_calls(place: Place) -> None:
+    """A call that is begun at once is answered once, with what came of it; where there is no room, as ever."""
+    client = await gateway(place)
+    beginner = await begins(place, client)
+    for how, result, values in (
+        (total(7), True, {"sum": 7}),
+        (CallFailed("/add", "no hands"), False, "no hands"),
+        (ZeroDivisionError("boom"), False, "internal error"),
+    ):
+        client.send(call())
+        await until(lambda: beginner.calls)
+        assert not place.session.services._calls
+        beginner.calls.pop().end(how)
+        got = await next_op(client)
+        assert (got["values"], got["result"], got["id"]) == (values, result, "c")
+    beginner.full = True
+    client.send(call())
+    assert (await next_op(client))["values"] == {"sum": 1}
+    assert not place.session.services._begun
+    assert place.session.requests_bytes == 0
+
+
+async def test_begun_calls_of_who_leaves(place: Place) -> None:
+    """Calls that were begun at once are given up when the gateway leaves."""
+    client = await gateway(place)
+    beginner = await begins(place, client)
+    for i in range(3):
+        client.send(call(id=f"{i}"))
+    await until(lambda: len(beginner.calls) == 3)
+    client.abort()
+    await until(lambda: all(each.over for each in beginner.calls))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName, RopewayError
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
+from ropeway.graph.begun import into
 from ropeway.networks.rosbridge.client.bodies import Bodies
 from ropeway.networks.rosbridge.client.other_holder import OtherHolder
 from ropeway.networks.rosbridge.protocol import ops
@@ -20,12 +21,16 @@ if TYPE_CHECKING:
     from ropeway.networks.rosbridge.client.host import LinkGraph
     from ropeway.networks.rosbridge.link.peer import Peer
 
-__all__ = ["Calls", "RemoteCaller", "announced", "answer_encoding", "lane", "travelling"]
+__all__ = ["Answered", "Calls", "RemoteCaller", "announced", "answer_encoding", "lane", "travelling"]
 
 _NOBODY_S: Final = 1.0  # where nobody can tell who serves what, a call that is not served is tried again for so long
 _RETRY_S: Final = 0.25
 _UNTOLD: Final = "/rosapi/"  # a gateway's own services: it answers them, and does not list them
 _OURS: Final = re.compile(r"(?:call_service|send_action_goal):\S+:\d+")
+
+
+Answered = Callable[[ops.ServiceResponse | BaseException], None]
+"""Takes the answer to a call, or why there is none."""
 
 
 class RemoteCaller(Protocol):
@@ -111,7 +116,7 @@ class Calls:
     def __init__(self, graph: LinkGraph) -> None:
         self.graph = graph
         self.bodies = Bodies(graph)
-        self.pending: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
+        self.pending: dict[str, Answered] = {}
         self.goals: dict[str, GoalUnderWay] = {}
         self.services: dict[str, ServiceProvider] = {}
         self.servers: dict[str, ActionProvider] = {}
@@ -197,7 +202,7 @@ class Calls:
             raise GraphUnavailable(name, "is not connected")
         id = f"call_service:{service}:{next(self.numbers)}"
         future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
-        self.pending[id] = future
+        self.pending[id] = into(future)
         try:
             peer.send(ops.CallService(id=id, service=service, args=dict(args)))
             async with aio.timeout(timeout_s):
@@ -256,9 +261,8 @@ class Calls:
         self.bodies.clear()
         reason = f"the link to {self.graph.name} was lost"
         pending, self.pending = self.pending, {}
-        for future in pending.values():
-            if not future.done():
-                future.set_exception(GraphUnavailable(self.graph.name, "the connection was lost during the call"))
+        for answered in pending.values():
+            answered(GraphUnavailable(self.graph.name, "the connection was lost during the call"))
         goals, self.goals = self.goals, {}
         for goal in goals.values():
             goal.lost(reason)
@@ -272,11 +276,11 @@ class Calls:
         """Take an operation of services and actions; false for others."""
         match op:
             case ops.ServiceResponse():
-                future = self.pending.pop(str(op.id), None)
-                if future is None:
+                answered = self.pending.pop(str(op.id), None)
+                if answered is not None:
+                    answered(op)
+                else:
                     self._unasked(op.service, op.id, peer)
-                elif not future.done():
-                    future.set_result(op)
             case ops.ActionFeedback():
                 if (goal := self.goals.get(str(op.id))) is not None:
                     goal.fed(op)

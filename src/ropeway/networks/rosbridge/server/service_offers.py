@@ -11,10 +11,12 @@ from ropeway.errors import (
     CallTimeout,
     InvalidOperation,
     ProviderLost,
+    RopewayError,
     TypesError,
     WireError,
 )
 from ropeway.graph.base import Delivery
+from ropeway.graph.begun import Begun, Ended, Handler, into
 from ropeway.graph.calls import Request
 from ropeway.limits import CALLS_PER_OFFERED_SERVICE, LONGEST_CALL_S
 from ropeway.networks.rosbridge.client.call_notes import call_note, received
@@ -33,7 +35,7 @@ class OfferedService:
 
     def __init__(self, session: SessionHost, op: ops.AdvertiseService, name: str, type: str) -> None:
         self.session, self.service, self.name, self.type = session, op.service, name, type
-        self.pending: dict[str, asyncio.Future[bytes]] = {}
+        self.pending: dict[str, Begun] = {}
         self.count = 0
         self.taken_by = ""
         self.closed = False
@@ -43,7 +45,8 @@ class OfferedService:
     async def open(self) -> None:
         """Serve the service on the graph, or wait until its holder leaves. Raises what the graph raises."""
         delivery = Delivery(encoding=self._compression or "auto")
-        self._inner = await self.session.view.create_service(self.name, self.type, self._handle, delivery=delivery)
+        handler = Handler(self._answer, self._begin)
+        self._inner = await self.session.view.create_service(self.name, self.type, handler, delivery=delivery)
         self._inner.on_state(self._state)
 
     def _state(self, taken_by: str) -> None:
@@ -56,7 +59,22 @@ class OfferedService:
         self._compression = op.compression
         self.count = 0
 
-    async def _handle(self, request: Request) -> bytes:
+    async def _answer(self, request: Request) -> bytes:
+        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        call = self._ask(request, into(answer))
+        try:
+            return await answer
+        finally:
+            call.give_up()
+
+    def _begin(self, request: Request, ended: Ended) -> Begun | None:
+        try:
+            return self._ask(request, ended)
+        except RopewayError:
+            return None  # ``_answer`` says so
+
+    def _ask(self, request: Request, ended: Ended) -> Begun:
+        """Send a call to the client. Raises ``CallError``, ``TypesError``, ``LinkError``."""
         session = self.session
         if self.closed or session.gone:
             raise ProviderLost(self.name, "its provider has left")
@@ -64,14 +82,18 @@ class OfferedService:
             raise CallFailed(self.name, f"too many calls: {CALLS_PER_OFFERED_SERVICE} of {self.name} are under way")
         self.count += 1
         id = f"service_request:{self.service}:{self.count}"
-        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self.pending[id] = answer
         timeout_s = min(request.timeout_s or LONGEST_CALL_S, LONGEST_CALL_S)
         message: dict[str, Any] = {"op": "call_service", "id": id, "service": self.service, "args": None}
         if session.gateway:
             message["timeout"] = timeout_s
             message["ropeway"] = call_note(request, session.gateway_id)
-        expiry = asyncio.get_running_loop().call_later(timeout_s, self._expired, id, timeout_s)
+
+        def over(how: bytes | BaseException) -> None:
+            if self.pending.get(id) is call:
+                del self.pending[id]
+            ended(CallTimeout(self.name, timeout_s) if isinstance(how, TimeoutError) else how)
+
+        call = self.pending[id] = Begun(over)
         try:
             session.peer.send_op(
                 message,
@@ -81,14 +103,11 @@ class OfferedService:
                 encoding=self._compression or "auto",
                 on_unsent=lambda error: self.fail(id, CallFailed(self.name, str(error))),
             )
-            return await answer
-        finally:
-            expiry.cancel()
-            if self.pending.get(id) is answer:
-                del self.pending[id]
-
-    def _expired(self, id: str, timeout_s: float) -> None:
-        self.fail(id, CallTimeout(self.name, timeout_s))
+        except BaseException:
+            del self.pending[id]
+            raise
+        call.expiry = asyncio.get_running_loop().call_later(timeout_s, call.expire)
+        return call
 
     def answered(self, op: ops.ServiceResponse) -> None:
         """Take an answer: a response, or a text (or nothing, with a false ``result``) that fails the call.
@@ -96,8 +115,8 @@ class OfferedService:
         A false ``result`` with a response counts for nothing, as with rosbridge: what a ROS 2 service has to say stands
         in its response. Raises ``InvalidOperation`` for an answer that nobody waits for, ``TypesError`` for a bad one.
         """
-        answer = self.pending.get(op.id) if isinstance(op.id, str) else None
-        if answer is None or answer.done():
+        call = self.pending.get(op.id) if isinstance(op.id, str) else None
+        if call is None:
             raise InvalidOperation("", f"Received service response for unrecognized id: {str(op.id)[:200]}")
         if isinstance(op.values, str) or (not op.result and op.values is None):
             self.fail(op.id, received(self.name, op.values, op.ropeway, kind="service", timeout_s=0.0))
@@ -109,13 +128,13 @@ class OfferedService:
         except (TypesError, WireError) as error:
             self.fail(op.id, CallFailed(self.name, text_of(error)))
             raise
-        answer.set_result(payload)
+        call.end(payload)
 
     def fail(self, id: str, error: CallError) -> None:
         """Fail one call."""
-        answer = self.pending.get(id)
-        if answer is not None and not answer.done():
-            answer.set_exception(error)
+        call = self.pending.get(id)
+        if call is not None:
+            call.end(error)
 
     def fail_all(self, reason: str) -> None:
         """Fail all calls under way."""

@@ -19,6 +19,7 @@ from ropeway.errors import (
     TypeConflict,
     WireError,
 )
+from ropeway.graph.begun import Begun
 from ropeway.graph.calls import Request
 from ropeway.hub.kept_clients import KeptClients
 from ropeway.limits import CALLS_PER_CLIENT, LONGEST_CALL_S, SERVICES_PER_CLIENT
@@ -39,6 +40,7 @@ from ropeway.tasks import end
 if TYPE_CHECKING:
     from ropeway.hub.calls import ViewClient
     from ropeway.networks.rosbridge.server.host import SessionHost
+    from ropeway.types import MessageCodec
 
 __all__ = ["ServiceOps"]
 
@@ -59,12 +61,15 @@ class ServiceOps:
             session, "service", "srv", ("Request", "Response"), SERVICES_PER_CLIENT
         )
         self._calls: dict[asyncio.Task[None], ops.CallService] = {}
+        self._begun: dict[Begun, ops.CallService] = {}  # without a task
         self._rosapi = RosapiCalls(session.peer, session.turns, self._fail)
         self._clients = KeptClients(session.view)
         self._names: dict[str, tuple[str, bool]] = {}  # by what clients write: the name, and whether rosapi serves it
 
     async def leave(self) -> None:
         """Clean up after a client that has left: its calls are given up, its services withdrawn."""
+        for call in list(self._begun):
+            call.give_up()
         await end(*self._calls)
         await self._rosapi.close()
         await self._clients.close()
@@ -72,9 +77,11 @@ class ServiceOps:
 
     async def give_up(self, reason: str) -> None:
         """Answer the calls that are under way: they fail for this reason."""
-        under_way = dict(self._calls)
+        begun, under_way = dict(self._begun), dict(self._calls)
+        for call in begun:
+            call.give_up()
         await end(*under_way)
-        for op in (*under_way.values(), *await self._rosapi.close()):
+        for op in (*begun.values(), *under_way.values(), *await self._rosapi.close()):
             self.refuse(op, ProviderLost(op.name, reason))
 
     def status(self) -> Iterator[dict[str, Any]]:
@@ -93,7 +100,7 @@ class ServiceOps:
     def call(self, op: ops.CallService) -> None:
         """Call a service for the client; it is answered exactly once, unless the client leaves."""
         self.called += 1
-        if len(self._calls) + self.session.turns.questions >= CALLS_PER_CLIENT:
+        if len(self._calls) + len(self._begun) + self.session.turns.questions >= CALLS_PER_CLIENT:
             self.refuse(op, CallFailed(op.name, f"too many calls: {CALLS_PER_CLIENT} of this client are under way"))
             return
         session = self.session
@@ -106,12 +113,51 @@ class ServiceOps:
                     session.access.command("call_service", name, json.dumps(op.args, default=repr).encode())
                 self._rosapi.add(op, session.rosapi.question(name, op.args))
                 return
+            if session.gateway and self._begin(op, name):
+                return
         except (RopewayError, ValueError) as error:
             self.refuse(op, error)
             return
         task = asyncio.get_running_loop().create_task(self._answer(op, name), name=f"call of {op.service[:200]}")
         self._calls[task] = op
         task.add_done_callback(partial(self._ended, op))
+
+    def _begin(self, op: ops.CallService, name: str) -> bool:
+        """Begin a call of a gateway whose client is kept; return false, having done nothing, where that takes a task.
+
+        Raises ``TypesError``, ``WireError``.
+        """
+        session, extra = self.session, op.ropeway or {}
+        client = self._clients.kept.get((name, op.type)) if op.type else None
+        if client is None or not client.available or "definition" in extra or session.access.role.audited:
+            return False
+        type = client.type
+        codec = codec_of(session, type + "_Response")
+        payload = decode_args(session, op.args, op.compression, type + "_Request")
+        timeout_s = self._limit(op)
+
+        def over(how: bytes | BaseException) -> None:
+            del self._begun[call]
+            session.requests_bytes -= len(payload)
+            if isinstance(how, bytes):
+                self._reply(op, how, codec)
+            elif not isinstance(how, asyncio.CancelledError):
+                self._fail(op, how)
+
+        begun = client.begin(Request(payload, *passage(session, extra), timeout_s), timeout_s, over)
+        if begun is None:
+            return False
+        call = begun
+        self._begun[call] = op
+        self._clients.kept.move_to_end((name, type))
+        session.requests_bytes += len(payload)
+        op.args = None  # in CDR it takes least
+        return True
+
+    def _limit(self, op: ops.CallService) -> float:
+        """Return how long a call may take."""
+        asked_s = self.call_timeout_s if op.timeout is None else op.timeout
+        return min(asked_s, LONGEST_CALL_S) if asked_s > 0 else LONGEST_CALL_S
 
     def _look_up(self, service: str) -> tuple[str, bool]:
         """Return the name of a service that is called, and whether our rosapi serves it. Raises ``InvalidName``."""
@@ -152,8 +198,7 @@ class ServiceOps:
             if session.access.role.audited:
                 session.access.command("call_service", name, payload)
             op.args = None  # in CDR it takes least
-            asked_s = self.call_timeout_s if op.timeout is None else op.timeout
-            timeout_s = min(asked_s, LONGEST_CALL_S) if asked_s > 0 else LONGEST_CALL_S
+            timeout_s = self._limit(op)
             request = Request(payload, *passage(session, extra), timeout_s)
             held = len(payload)
             session.requests_bytes += held
@@ -167,6 +212,11 @@ class ServiceOps:
             return
         finally:
             session.requests_bytes -= held
+        self._reply(op, response, codec)
+
+    def _reply(self, op: ops.CallService, response: bytes, codec: MessageCodec | None) -> None:
+        """Answer a call."""
+        session = self.session
         message = {"op": "service_response", "service": op.service, "values": None, "result": True}
         if op.id is not ops.ABSENT:
             message["id"] = op.id
