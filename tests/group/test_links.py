@@ -145,6 +145,22 @@ async def test_a_cut(tick: int) -> None:
         assert came[-1][1] == following - 1
 
 
+@pytest.mark.parametrize("tick", range(0, 25, 8))
+async def test_a_cut_with_duplicates(tick: int) -> None:
+    """With duplicates a cut costs no more than a period and the difference of the links, and nothing is lost."""
+    async with Two(duplicate=True) as two:
+        following = await two.run(2)
+        await asyncio.sleep(tick / 1e3)
+        two.links["quick"].cut = True
+        following = await two.run(1, following)
+        await asyncio.sleep(0.1)
+    between_s = two.links["slow"].delay_s - two.links["quick"].delay_s
+    for came in (two.up, two.down):
+        assert gap_s(came) <= PERIOD_S + between_s + tick / 1e3 + 1e-6
+        assert came[-1][1] == following - 1
+    assert [number for _, number in two.up] == list(range(1, following))
+
+
 async def test_a_doubt_that_was_none() -> None:
     """While a probe is late everything goes by both links, each message counts once, and the link in use stays."""
     async with Two() as two:
