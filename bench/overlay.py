@@ -831,22 +831,26 @@ def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
         a, b, far_ip = ends
         where = bundles(Path(directory), "near", "far")
         endpoint = f"tls/{far_ip}:{PORT}"
-        for run in ("bare", "sealed"):
+        for run in ("bare", "sealed", "session"):
+            sessions = ("--sessions",) if run == "session" else ()
             if run == "bare":
                 far = Process(b, *ME, "tcp_echo", "--host", far_ip)
                 far.line()
                 near = Process(a, *ME, "tcp_ping", "--host", far_ip, *more)
             else:
-                far = member("far", where, "echo", "--listen", endpoint, namespace=b)
+                far = member("far", where, "echo", "--listen", endpoint, *sessions, namespace=b)
                 far.line()
-                near = member("near", where, "ping", "--connect", endpoint, *more, namespace=a)
+                near = member("near", where, "ping", "--connect", endpoint, *more, *sessions, namespace=a)
             figures[run] = json.loads(near.finish(120).splitlines()[-1])["rtt"]
             far.stop()
     rows = []
     for size in sizes.split(","):
-        bare, sealed = figures["bare"][size], figures["sealed"][size]
-        rows.append([int(size), bare[0], sealed[0], sealed[0] - bare[0], sealed[1] - bare[1]])
-    heads = ["bytes", "bare p50 ms", "sealed p50 ms", "added p50 ms (<= 2)", "added p99 ms"]
+        bare, sealed, session = (figures[run][size] for run in ("bare", "sealed", "session"))
+        added = [
+            figure - without for figures in (sealed, session) for figure, without in zip(figures, bare, strict=True)
+        ]
+        rows.append([int(size), bare[0], sealed[0], *added])
+    heads = ["bytes", "bare p50 ms", "sealed p50 ms", "added p50 ms (<= 2)", "p99 ms", "by session p50 ms", "p99 ms"]
     table(f"round trip at {delay_ms:g} ms one way and {mbit:g} Mbit/s", heads, rows, as_json=as_json)
 
 

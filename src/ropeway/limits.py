@@ -194,7 +194,7 @@ OVERLAY_MESSAGE_BYTES: Final = 64 << 20
 """One message of the overlay, unpacked, where no configuration says otherwise (``gateway.max_message_bytes``)."""
 
 OVERLAY_BATCH_BYTES: Final = 1 << 20
-"""The size of all other messages of a packet beside the largest, unpacked. Senders put 64 KiB in one."""
+"""The size of all other messages of a packet beside the largest, unpacked. Senders put 256 KiB in one."""
 
 OVERLAY_MESSAGES_PER_PACKET: Final = 4_096
 """Messages in one packet. Senders put 256 in one."""

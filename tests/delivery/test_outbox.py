@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import dataclass
 
 from ropeway.delivery.outbox import FRESH_BYTES, SMALL_BYTES, Lost, Outbox, Queue
@@ -287,3 +288,54 @@ def test_what_is_not_ready_is_left_where_it_waits() -> None:
     outbox.put(queue, Message(b"x" * (SMALL_BYTES + 1)))
     assert outbox.take_ready(1 << 20, 4, 0) is None
     assert outbox.messages == 1
+
+
+def in_turns(*, ahead: bool) -> list[bytes]:
+    """Return what is sent of three topics of different weights and sizes, with ``take_next`` or without."""
+    outbox: Outbox[Message] = Outbox()
+    chance = random.Random(7)
+    queues = [
+        outbox.open(Queue(name, depth=None, weight=weight)) for name, weight in (("a", 1.0), ("b", 3.0), ("c", 1.0))
+    ]
+    out: list[bytes] = []
+    for number in range(400):
+        size = chance.choice((10, 100, 1000, 2 * SMALL_BYTES))
+        outbox.put(chance.choice(queues), Message(b"%5d" % number + bytes(size)))
+        until = len(out) + chance.randrange(30) if number % 40 == 39 else 0
+        taken = None
+        while len(out) < until:
+            taken = taken or outbox.take(4, 0)
+            if taken is None:
+                break
+            queue, message = taken
+            out.append(message.payload[:5])
+            outbox.served(queue, len(message.payload))
+            following = outbox.take_next(queue, 0) if ahead and len(out) < until else None
+            taken = None if following is None else (queue, following)
+            if taken is None:
+                outbox.done(queue)
+    return out + [payload[:5] for payload in drain(outbox)]
+
+
+def test_what_follows_is_what_would_have_been_taken() -> None:
+    """To take what follows of a topic at once changes no turn of any topic, whatever waits of the others."""
+    assert in_turns(ahead=True) == in_turns(ahead=False)
+
+
+def test_what_does_not_follow_at_once() -> None:
+    """A big message, one that has expired, and what was kept while a topic is held wait for their turn."""
+    outbox: Outbox[Message] = Outbox()
+    for second in (Message(bytes(SMALL_BYTES + 1)), Message(b"old", stamp_ns=-10)):
+        topic: Queue[Message] = outbox.open(Queue("t", depth=None, lifespan_ns=5))
+        outbox.put(topic, Message(b"1"))
+        outbox.put(topic, second)
+        assert outbox.take(4, 0) is not None
+        assert outbox.take_next(topic, 0) is None
+        outbox.done(topic)
+        outbox.close(topic)
+    held: Queue[Message] = Queue("held", depth=None)
+    outbox.adopt(held, [Message(b"1")])
+    assert outbox.take_next(held, 0) is None
+    outbox.done(held)
+    assert drain(outbox) == [b"1"]
+    assert outbox.take_next(held, 0) is None

@@ -40,6 +40,8 @@ class Lost(enum.Enum):
     ENCODE = "it could not be encoded"
     REPEATED = "its id had come before"
 
+    __hash__ = object.__hash__  # that of enumerations is written in Python, and drops are looked up for each message
+
 
 class Message(Protocol):
     """The fields of a message that the outbox reads."""
@@ -269,6 +271,29 @@ class Outbox(Generic[M]):
             self._under_way[priority].append(queue)
             return queue, message
         return None
+
+    def take_next(self, queue: Queue[M], now_ns: int) -> M | None:
+        """Take what follows of a topic that is under way, if it is small and ``done`` and ``take`` would give it next.
+
+        ``None`` where another topic is next, or there is nothing to take.
+        """
+        if not queue.waiting or queue.held:
+            return None
+        message, turn = queue.waiting[0], (queue.served, queue.number)
+        size = len(message.payload)
+        if size > SMALL_BYTES or (queue.lifespan_ns is not None and now_ns - message.stamp_ns > queue.lifespan_ns):
+            return None
+        priority = queue.priority
+        for heap in (self._small[priority], self._big[priority]):
+            if heap and heap[0][:2] < turn:
+                return None
+        queue.waiting.popleft()
+        queue.bytes -= size
+        self.bytes -= size
+        self.messages -= 1
+        if self._times[priority] < queue.served:
+            self._times[priority] = queue.served
+        return message
 
     def take_ready(self, room_bytes: int, header_bytes: int, now_ns: int) -> tuple[Queue[M], M] | None:
         """Take the next message of the most urgent lane, if it is small and ready and there is room for it.

@@ -11,7 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.errors import SealError
-from ropeway.networks.overlay.packet_item import RAW, RELAYED, ZSTD, PacketItem, pack, read_item, read_items, unpack
+from ropeway.networks.overlay.packet_item import (
+    RAW,
+    RELAYED,
+    ZSTD,
+    PacketItem,
+    frame,
+    pack,
+    read_item,
+    read_items,
+    read_packet,
+    unpack,
+)
 from ropeway.networks.overlay.refusal import Refusal
 from tests.networks.overlay.hostile import bomb, peak_bytes
 
@@ -88,3 +99,36 @@ def test_a_filter_that_divides_by_zero() -> None:
     with pytest.raises(SealError) as caught:
         read_item(packed(struct.pack("<BBBxIIII", 3, 4, 2, 0, 0, 1200, 300) + planes))
     assert caught.value.reason is Refusal.MALFORMED
+
+
+def spans(raws: list[bytes]) -> tuple[bytes, list[tuple[int, int]]]:
+    ends = [sum(map(len, raws[: count + 1])) for count in range(len(raws))]
+    return b"".join(raws), [(end - len(raw), end) for raw, end in zip(raws, ends, strict=True)]
+
+
+@given(st.lists(st.tuples(st.binary(max_size=60), st.sampled_from((RAW, ZSTD, 9))), max_size=5), st.integers(0, 80))
+def test_packets_are_read_as_messages_are(bodies: list[tuple[bytes, int]], limit: int) -> None:
+    """Whatever stands in a packet, it is read, or refused, as its messages are one by one."""
+    raws = [packed(body, encoding) for body, encoding in bodies] + [b"short"][: limit % 2]
+    found: list[object] = []
+    for read in (lambda: read_items(raws, limit), lambda: read_packet(*spans(raws), limit)):
+        try:
+            found.append(read())
+        except SealError as error:
+            found.append(error.reason)
+    assert found[0] == found[1]
+
+
+def test_a_packet_is_held_to_its_budget() -> None:
+    """The messages of a packet together are held to the same budget, wherever they stand."""
+    raws = [packed(bytes(MIB), RAW)] * 3
+    with pytest.raises(SealError) as caught:
+        read_packet(*spans(raws), MIB)
+    assert caught.value.reason is Refusal.TOO_BIG
+    assert len(read_packet(*spans(raws[:2]), MIB)) == 2
+
+
+def test_frames() -> None:
+    """Messages are framed by their lengths, in the layout of one alone."""
+    items = [PacketItem(n, 2, 3, b"o" * 16, 0, RAW, b"x" * n) for n in range(3)]
+    assert b"".join(frame(items)) == b"".join(struct.pack(">I", len(pack(item))) + pack(item) for item in items)

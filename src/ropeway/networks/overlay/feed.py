@@ -26,7 +26,7 @@ from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.data_key import data_key, publisher_of
 from ropeway.networks.overlay.data_plane import DataPlane, Handle
 from ropeway.networks.overlay.held_bytes import HeldBytes
-from ropeway.networks.overlay.packet_item import PacketItem, read_items
+from ropeway.networks.overlay.packet_item import PacketItem, read_packet
 from ropeway.networks.overlay.packet_mark import Mark
 from ropeway.networks.overlay.publisher_stream import FeedReader, PublisherStream
 from ropeway.networks.overlay.receipts import Receipts
@@ -152,7 +152,7 @@ class Feed:
                 opened = stream.open(raw, way)
                 if opened is None:
                     return
-                items = read_items(opened.items, self.limit_bytes)
+                items = read_packet(opened.plain, opened.spans, self.limit_bytes)
                 size = sum(len(item.payload) for item in items) + _ITEM_BYTES * len(items)
                 self._inlet.put((stream, _Opened(opened.epoch, items)), size)
         except SealError as error:

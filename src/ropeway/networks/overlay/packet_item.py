@@ -20,7 +20,7 @@ from ropeway.errors import DecodeError, MessageTooBig, SealError
 from ropeway.limits import OVERLAY_BATCH_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["RAW", "RELAYED", "ZSTD", "PacketItem", "head", "pack", "read_item", "read_items", "unpack"]
+__all__ = ["RAW", "RELAYED", "ZSTD", "PacketItem", "frame", "pack", "read_item", "read_items", "read_packet", "unpack"]
 
 RELAYED: Final = 1
 """The flag of a message whose origin was lost on the way here."""
@@ -29,6 +29,7 @@ RAW: Final = 0
 ZSTD: Final = 1
 
 _HEAD: Final = struct.Struct(">QqQ16sBB")
+_FRAMED: Final = struct.Struct(">IQqQ16sBB")  # the same behind the length of all that follows
 
 
 class PacketItem(NamedTuple):
@@ -43,14 +44,19 @@ class PacketItem(NamedTuple):
     payload: bytes
 
 
-def head(item: PacketItem) -> bytes:
-    """Return the bytes before the payload."""
-    return _HEAD.pack(*item[:6])
+def frame(items: Iterable[PacketItem]) -> list[bytes]:
+    """Return messages as they stand in a packet, each behind its length, in pieces to be joined."""
+    pieces: list[bytes] = []
+    for number, stamp_ns, seq, origin, flags, encoding, payload in items:
+        size = _HEAD.size + len(payload)
+        pieces.append(_FRAMED.pack(size, number, stamp_ns, seq, origin, flags, encoding))
+        pieces.append(payload)
+    return pieces
 
 
 def pack(item: PacketItem) -> bytes:
     """Return the bytes of a message."""
-    return head(item) + item.payload
+    return _HEAD.pack(*item[:6]) + item.payload
 
 
 def unpack(raw: bytes | memoryview) -> PacketItem:
@@ -92,6 +98,28 @@ def read_items(
     left = limit_bytes + more_bytes
     for raw in raws:
         item = read_item(raw, min(limit_bytes, left))
+        left -= len(item.payload)
+        items.append(item)
+    return items
+
+
+def read_packet(
+    plain: bytes, spans: Iterable[tuple[int, int]], limit_bytes: int = OVERLAY_MESSAGE_BYTES
+) -> list[PacketItem]:
+    """Return the messages between these ends in what a packet holds, as ``read_items`` does, for the most part faster:
+    raw ones are copied once, from where they stand.
+    """
+    items: list[PacketItem] = []
+    left = limit_bytes + OVERLAY_BATCH_BYTES
+    for at, end in spans:
+        begin = at + _HEAD.size
+        if begin <= end <= begin + min(limit_bytes, left):
+            number, stamp_ns, seq, origin, flags, encoding = _HEAD.unpack_from(plain, at)
+            if encoding == RAW:
+                items.append(PacketItem(number, stamp_ns, seq, origin, flags, RAW, plain[begin:end]))
+                left -= end - begin
+                continue
+        item = read_item(memoryview(plain)[at:end], min(limit_bytes, left))  # compressed, or refused
         left -= len(item.payload)
         items.append(item)
     return items

@@ -12,7 +12,7 @@ from ropeway.errors import SealError
 from ropeway.limits import OVERLAY_HISTORY_BYTES
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.seal import Sealer
-from ropeway.networks.overlay.packet_item import RAW, PacketItem, head, pack
+from ropeway.networks.overlay.packet_item import RAW, PacketItem, frame, pack
 from ropeway.networks.overlay.reader_proofs import ReaderProofs
 from ropeway.networks.overlay.refusal import Refusal
 
@@ -95,9 +95,9 @@ class PublisherSource:
 
     def seal(self, items: Sequence[PacketItem]) -> bytes:
         """Seal one packet."""
-        pieces = [(head(item), item.payload) for item in items]
+        plain = b"".join(frame(items))
         with self._lock:
-            return self._sealer.seal(pieces)
+            return self._sealer.seal_framed(plain, len(items))
 
     def grant(self, reader: Certificate, gateway: bytes = b"", secret: bytes = b"") -> dict[str, Any]:
         """Return the keys for an authorized reader. Raises ``SealError`` for others.

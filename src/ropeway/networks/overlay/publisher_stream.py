@@ -21,7 +21,7 @@ from ropeway.networks.overlay.data_plane import DataPlane
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.packet_assembly import PacketAssembly
-from ropeway.networks.overlay.packet_item import PacketItem, read_items
+from ropeway.networks.overlay.packet_item import PacketItem, read_items, read_packet
 from ropeway.networks.overlay.packet_mark import Mark
 from ropeway.networks.overlay.receipts import Receipts
 from ropeway.networks.overlay.refusal import Refusal
@@ -269,7 +269,7 @@ class PublisherStream:
                     return
                 opened = self.open(raw, way)
             if opened is not None:
-                self.opened(opened.epoch, read_items(opened.items, self._feed.limit_bytes))
+                self.opened(opened.epoch, read_packet(opened.plain, opened.spans, self._feed.limit_bytes))
         except SealError as error:
             self.refused(error)
 
@@ -298,7 +298,7 @@ class PublisherStream:
                 raise
             self._feed.copies += 1
             return None
-        self._arrivals.came(way, opened.first, len(opened.items))
+        self._arrivals.came(way, opened.first, len(opened.spans))
         return opened
 
     def assemble(self, mark: Mark, raw: bytes, way: Way) -> bytes | None:

@@ -176,17 +176,21 @@ class Sealer:
 
     def seal(self, items: Sequence[Sequence[bytes]]) -> bytes:
         """Seal one packet with these messages, 1 to 65,535 of them, each in as many pieces as it comes in."""
+        plain = b"".join(part for item in items for part in (_LENGTH.pack(sum(map(len, item))), *item))
+        return self.seal_framed(plain, len(items))
+
+    def seal_framed(self, plain: bytes, count: int) -> bytes:
+        """Seal one packet with so many messages, each of which stands behind its length."""
         if self._packets >= _PACKETS:
             self.rotate()
         self._packets += 1
-        first, self.counter = self.counter + 1, self.counter + len(items)
+        first, self.counter = self.counter + 1, self.counter + count
         epoch, sessions = self._current.epoch, self._sessions
         if sessions:
             flags, proof_bytes = _SESSION, len(sessions) * PROOF_BYTES
         else:
             flags, proof_bytes = 0 if self._sign is None else _SIGNED, self._signature_bytes
-        head = _HEAD.pack(_MAGIC, _VERSION, flags, 0, epoch, first, len(items), proof_bytes)
-        plain = b"".join(part for item in items for part in (_LENGTH.pack(sum(map(len, item))), *item))
+        head = _HEAD.pack(_MAGIC, _VERSION, flags, 0, epoch, first, count, proof_bytes)
         about, nonce = self._about + head, _NONCE.pack(epoch, first)
         sealed = self._cipher.encrypt(nonce, plain, about)
         if sessions:
@@ -221,11 +225,18 @@ def check_signature(
 
 
 class Opened(NamedTuple):
-    """The content of a packet; ``first`` is the counter of the first message."""
+    """The content of a packet, with the ends of its messages; ``first`` is the counter of the first one."""
 
     first: int
-    items: list[memoryview]
+    plain: bytes
+    spans: list[tuple[int, int]]
     epoch: int
+
+    @property
+    def items(self) -> list[memoryview]:
+        """The messages."""
+        view = memoryview(self.plain)
+        return [view[at:end] for at, end in self.spans]
 
 
 class Opener:
@@ -298,9 +309,9 @@ class Opener:
             plain = key[1].decrypt(nonce, sealed, about)
         except InvalidTag:
             raise SealError(Refusal.BAD_TAG, f"message {head.first}") from None
-        items = _split(plain, head.messages)
+        spans = _spans(plain, head.messages)
         self._window.take(head.first, head.messages)
-        return Opened(head.first, items, head.epoch)
+        return Opened(head.first, plain, spans, head.epoch)
 
     def _check_session(self, head: PacketHeader, nonce: bytes, sealed: memoryview, proofs: memoryview) -> None:
         """Check that the publisher proves a packet to us. Raises ``SealError``."""
@@ -316,18 +327,18 @@ class Opener:
             raise SealError(Refusal.BAD_SIGNATURE, f"message {head.first}, whose proof is not its publisher's")
 
 
-def _split(plain: bytes, count: int) -> list[memoryview]:
-    items: list[memoryview] = []
-    at, size, view = 0, len(plain), memoryview(plain)
+def _spans(plain: bytes, count: int) -> list[tuple[int, int]]:
+    """Return where each of ``count`` messages begins and ends. Raises ``SealError`` unless they are all there is."""
+    spans: list[tuple[int, int]] = []
+    end, size, length_at = 0, len(plain), _LENGTH.unpack_from
     for _ in range(count):
-        if at + 4 > size:
+        at = end + _LENGTH.size
+        if at > size:
             raise SealError(Refusal.MALFORMED, "a batch")
-        (length,) = _LENGTH.unpack_from(plain, at)
-        at += 4
-        if at + length > size:
+        end = at + length_at(plain, end)[0]
+        if end > size:
             raise SealError(Refusal.MALFORMED, "a batch")
-        items.append(view[at : at + length])
-        at += length
-    if at != size:
+        spans.append((at, end))
+    if end != size:
         raise SealError(Refusal.MALFORMED, "a batch")
-    return items
+    return spans

@@ -29,9 +29,10 @@ __all__ = ["OverlaySender"]
 
 log = logging.getLogger("ropeway.overlay")
 
-_BATCH_BYTES: Final = 64 * 1024
+_BATCH_BYTES: Final = 256 * 1024  # which makes a signature and its check cheap, where the path carries it in no time
+_PLAIN_BATCH_BYTES: Final = 64 * 1024  # where nothing is known of the path
 _BATCH: Final = 256
-_AHEAD_BYTES: Final = 2 * _BATCH_BYTES  # of small messages the next batch is made ready while one is sealed
+_AHEAD_BYTES: Final = 128 * 1024  # of small messages the next batch is made ready while one is sealed
 _ITEM_BYTES: Final = 64  # what a message costs beside its payload
 _PACKET_BYTES: Final = 200  # and what a packet costs
 _AHEAD_S: Final = 0.01  # before the end of a message the next is sealed, so that the path does not wait for it
@@ -278,10 +279,12 @@ class OverlaySender:
     def _gather(self, lane: int, group: _Group, *, small: bool) -> tuple[list[Job], int]:
         """Take what goes whole in one turn, by publisher; what goes in parts is begun."""
         found: dict[OverlayPublisher, list[tuple[PacketItem, bool]]] = {}
-        outbox, limit = group.outbox, self._part_bytes(group)
+        outbox, limit, now_ns = group.outbox, self._part_bytes(group), time.time_ns()
+        most = _PLAIN_BATCH_BYTES if limit == _NO_LIMIT else min(_BATCH_BYTES, limit)
         size = count = 0
-        while size < min(_BATCH_BYTES, limit) and count < _BATCH:
-            taken = outbox.take(lane, time.time_ns(), small=small)
+        taken = None
+        while size < most and count < _BATCH:
+            taken = taken or outbox.take(lane, now_ns, small=small)
             if taken is None:
                 break
             queue, sample = taken
@@ -291,9 +294,12 @@ class OverlaySender:
                 break
             found.setdefault(publisher, []).append(piece)
             outbox.served(queue, length)
-            self._done(group, queue)
             size += length
             count += 1
+            following = outbox.take_next(queue, now_ns) if size < most and count < _BATCH else None
+            taken = None if following is None else (queue, following)
+            if taken is None:
+                self._done(group, queue)
         return list(found.items()), size + _PACKET_BYTES * len(found)
 
     @staticmethod
