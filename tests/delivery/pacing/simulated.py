@@ -276,6 +276,8 @@ class Outcome:
     queue_s: float
     """The mean wait at the bottleneck."""
     unsent_bytes: float
+    median_queue_s: float
+    longest_queue_s: float
 
 
 def read(tcp: Tcp, model: LinkModel) -> None:
@@ -284,12 +286,12 @@ def read(tcp: Tcp, model: LinkModel) -> None:
     if model.squeezed():
         tcp.start_again()
     if isinstance(tcp, Kernel):
-        pace = model.wanted_bps
-        tcp.rate = None if pace is None or model.starting else 1.25 * pace
+        tcp.rate = model.spread_bps
 
 
-def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:
-    """Send as much as the model allows, always."""
+def greedy(clock: Clock, tcp: Tcp, model: LinkModel, late_s: float = 0.0) -> None:
+    """Send as much as the model allows, always; it looks at its connection late, by ``late_s`` on the average."""
+    chance = random.Random(1)
 
     def look() -> None:
         read(tcp, model)
@@ -301,7 +303,8 @@ def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:
             tcp.hand(part)
             if model.room_bytes <= 0:
                 read(tcp, model)
-        clock.at(clock.now + max(model.look_in_s, LOOK_S), look)
+        late = chance.expovariate(1 / late_s) if late_s else 0.0
+        clock.at(clock.now + max(model.look_in_s, LOOK_S) + late, look)
 
     look()
 
@@ -315,6 +318,7 @@ def simulate(
     change: Callable[[], None] | None = None,
     change_at: float = 0.0,
     luck_s: float = 0.0,
+    late_s: float = 0.0,
 ) -> Outcome:
     """Run a greedy sender for a while; its first round trip was shorter than others by ``luck_s``."""
     clock = Clock()
@@ -329,13 +333,14 @@ def simulate(
             unsent.append(tcp.unsent_bytes)
         clock.at(clock.now + 0.0037, sample)
 
-    clock.at(0.0, lambda: greedy(clock, tcp, model))
+    clock.at(0.0, lambda: greedy(clock, tcp, model, late_s))
     clock.at(0.0, sample)
     if change is not None:
         clock.at(change_at, change)
     clock.run(seconds)
     got = sum(size for at, size in tcp.arrived if skip_s <= at < seconds)
-    return Outcome(got / (seconds - skip_s), sum(waits) / len(waits), sum(unsent) / len(unsent))
+    rate, median = got / (seconds - skip_s), sorted(waits)[len(waits) // 2]
+    return Outcome(rate, sum(waits) / len(waits), sum(unsent) / len(unsent), median, max(waits))
 
 
 def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> None:
