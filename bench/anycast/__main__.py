@@ -24,7 +24,7 @@ MEMBERS: Final = 100
 
 def simulation(trials: int, as_json: bool) -> None:
     """Measure the scheduler by the clock of the simulation."""
-    heads = ["thesis", "best alone", "one", "one, stateless"]
+    heads = ["thesis", "best alone", "one", "one, stateless", "one - best"]
     columns = [f"{head}, {share} %" for share in (100, 50) for head in heads]
     delay = f"{1e3 * DELAY_S:.1f} ms more on 100 % and on 50 % of edge1's packets"
     table(

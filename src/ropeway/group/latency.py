@@ -17,6 +17,7 @@ WINDOW_S: Final = 3.0
 """How far back a window looks unless configured: ``latency_window`` of FogROS2-LS."""
 
 _MOST: Final = 2048  # latencies in a window, of the newest: 90 frames a second for 22 s
+_THIRD: Final = 3
 _MOST_PENDING: Final = 1024  # requests without an answer that are remembered
 _ENOUGH_OVERDUE: Final = 8  # more late requests in a row than that say nothing new
 _GIVE_UP_WINDOWS: Final = 10  # a request that is older than so many windows is forgotten: nobody waits for it
@@ -68,6 +69,11 @@ class Statistics:
     def percentile(self, percent: float) -> float:
         """Return the smallest value that ``percent`` of all do not exceed."""
         return self.values[max(0, math.ceil(len(self.values) * percent / 100) - 1)]
+
+    @property
+    def worst_s(self) -> float:
+        """Return the mean of the worst third: of few values a percentile is chance."""
+        return statistics.fmean(self.values[-max(1, len(self.values) // _THIRD) :])
 
     def as_json(self) -> dict[str, float | int]:
         """Return the numbers that people look at, in seconds."""

@@ -14,6 +14,7 @@ from ropeway.group.options import Options
 __all__ = ["ProfileRun"]
 
 _LEAST_PATIENCE_S: Final = 0.5  # for answers to what was asked in the profile
+_LONGER: Final = 8  # times what each has in a profile, for all of them together
 _PATIENCE_LIMITS: Final = 2  # as many times the limit, at most, if that is longer
 
 
@@ -27,6 +28,12 @@ class ProfileRun:
         self._asks_until_s = now_s + options.profile_s * len(self._asked)
         self._patience_s = max(_LEAST_PATIENCE_S, _PATIENCE_LIMITS * (limit_s or 0.0))
         self._asked_last_s = now_s
+        self.longer = False
+
+    def go_on(self, now_s: float) -> None:
+        """Ask all for some time more: what was learnt tells too little."""
+        self.longer = True
+        self._asks_until_s = now_s + _LONGER * self._options.profile_s
 
     @property
     def names(self) -> tuple[str, ...]:

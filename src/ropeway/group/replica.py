@@ -16,6 +16,7 @@ Rank = tuple[int, float, float]
 
 _MOST_PENALTY_S: Final = 300.0
 _IN_A_ROW: Final = 2  # requests without an answer: one may have been lost, or passed over
+_WORSE: Final = 1.085  # times: of a long profile, what differs by less may be chance
 _TOGETHER: Final = 3  # standard deviations
 _ERRORS: Final = 2  # standard errors of a mean: nineteen of twenty are within
 _ORDER: Final = (Standing.MET, Standing.UNKNOWN, Standing.MISSED)
@@ -37,6 +38,7 @@ class Replica:
     known_at_s: float = float("-inf")
     unsure_s: float = 0.0  # by how much that mean may be chance
     spread_s: float = 0.0  # the standard deviation then
+    worst_s: float = 0.0  # the mean of the worst third then
 
     def late_in_a_row(self, now_s: float, limit_s: float | None) -> int:
         """Return how many requests in a row took longer than the limit, those without an answer included."""
@@ -65,7 +67,7 @@ class Replica:
         found = self.window.statistics(now_s)
         if found is not None:
             self.known_s, self.known_at_s = found.mean, now_s
-            self.spread_s = found.stddev
+            self.spread_s, self.worst_s = found.stddev, found.worst_s
             self.unsure_s = _ERRORS * found.error_s
         return found
 
@@ -90,6 +92,12 @@ class Replica:
         """Return whether two requests in a row have no answer: one late, and one older than half the answers took."""
         waiting = self.window.overdue(now_s, min(usual_s, limit_s))
         return waiting >= _IN_A_ROW and self.window.overdue(now_s, limit_s) > 0
+
+    def is_worse_at_worst(self, other: Replica, limit_s: float | None) -> bool:
+        """Return whether its worst was clearly worse than another's in a profile of both, which was late as well."""
+        if limit_s is None or other.worst_s <= limit_s or self.known_at_s != other.known_at_s:
+            return False
+        return self.worst_s > other.worst_s * _WORSE
 
     def risen_s(self, now_mean_s: float, other: Replica) -> float:
         """Return by how much more requests take now than when ``other`` was asked as well, as far as they all may.

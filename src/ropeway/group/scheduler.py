@@ -323,11 +323,17 @@ class Scheduler:
     def _step_profile(self, profile: ProfileRun, now_s: float) -> None:
         if not profile.over(now_s):
             return
-        self._profile = None
-        self._pause_until_s = now_s + self.options.pause_s
+        here = [m for m in self._members.values() if m.here]
+        missed = here and all(self.bound.judge(m.window.statistics(now_s)) is Standing.MISSED for m in here)
+        if missed and not self.stateless and not profile.longer:
+            profile.go_on(now_s)  # which of them is least bad a few answers do not tell, and nobody is left waiting
+            return
+        self._profile, self._pause_until_s = None, now_s + self.options.pause_s
         for member in self._members.values():
             member.remember(now_s)
-        here = [m for m in self._members.values() if m.here]
+        if missed:  # what a bound is about is what is slow, more than what is usual
+            steady = min(here, key=lambda m: m.worst_s)
+            here = [m for m in here if not m.is_worse_at_worst(steady, self._limit_s)]
         best = min(here, key=lambda m: m.rank(self.bound, now_s), default=None)
         if best is not None and best.name != self.current and not self.held:
             self._change(best.name, now_s, f"the best of the profile ({best.numbers(now_s)})")
@@ -352,11 +358,10 @@ class Scheduler:
         rival = self._rival(now_s, whoever=self.stateless)
         if rival is None:
             return
-        limit_ms = 1e3 * (self._limit_s or 0.0)
-        why = self.bound.missed(found) or f"{late} in a row took more than {limit_ms:.0f} ms"
+        limit_s = self._limit_s or 0.0
+        why = self.bound.missed(found) or f"{late} in a row took more than {1e3 * limit_s:.0f} ms"
         rested = now_s - self._since_s >= self.options.least_dwell_s
         if self.stateless:
-            limit_s = self._limit_s or 0.0
             silent = rested and member.fell_silent(now_s, limit_s, found.median)
             if silent and rival.was_in_time(now_s, limit_s, self.options):
                 since_s = self._since_s
@@ -371,7 +376,11 @@ class Scheduler:
             enough = found.answered + found.pending >= ENOUGH * self.options.pairs
             if known_s is not None:
                 known_s += member.risen_s(found.mean, rival)
-            if known_s is None or (enough and known_s < found.mean * (1 - self.options.margin)):
+            if known_s is None or (
+                enough
+                and not rival.is_worse_at_worst(member, self._limit_s)
+                and known_s < found.mean * (1 - self.options.margin)
+            ):
                 self._was_s = member.window.recent_s(ENOUGH * self.options.pairs) or found.mean
                 self._change(rival.name, now_s, why)
                 self._came_from = member.name
