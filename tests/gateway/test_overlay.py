@@ -13,6 +13,7 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.overlay.crypto.identity import write_private
+from ropeway.networks.overlay.crypto.seal import Opened, Opener, PacketHeader, peek
 from ropeway.qos import LATCHED, QoS
 from tests.networks.overlay.conftest import Site
 from tests.networks.overlay.conftest import site as site
@@ -32,11 +33,11 @@ class Overlay:
         self.world, self.site, self.directory = world, site, directory
         self.gateways: list[Gateway] = []
 
-    async def join(self, name: str, **remote: Any) -> MemoryGraph:
+    async def join(self, name: str, *, authenticity: str = "signed", **remote: Any) -> MemoryGraph:
         """A gateway with one remote, the overlay; gives a robot on its network."""
         bundle = self.directory / f"{name}.ropeway"
         write_private(bundle, member(name).to_text())
-        overlay = {"identity": str(bundle), "routers": [self.site.endpoint], "listen": []}
+        overlay = {"identity": str(bundle), "routers": [self.site.endpoint], "listen": [], "authenticity": authenticity}
         gateway = await self.world.gateway(
             name, [{"address": "overlay", **remote}], overlay=overlay, listen=[], insecure=True
         )
@@ -72,6 +73,28 @@ async def test_topics_both_ways(overlay: Overlay) -> None:
     await until(lambda: overlay.gateways[1].status()["routes"][0]["state"] == "active")
     order.publish(sample("go"))
     await commands.wait(1, 30)
+
+
+@pytest.mark.parametrize("cloud_says", ["session", "signed"])
+async def test_authenticity(overlay: Overlay, monkeypatch: pytest.MonkeyPatch, cloud_says: str) -> None:
+    """Gateways that both say ``session`` prove messages to each other; where one says ``signed`` they are signed."""
+    heads: list[PacketHeader] = []
+    opening = Opener.open
+
+    def opened(opener: Opener, packet: bytes) -> Opened:
+        heads.append(peek(packet))
+        return opening(opener, packet)
+
+    monkeypatch.setattr(Opener, "open", opened)
+    robot = await overlay.join("robot", authenticity="session", publish=[item("/map")])
+    cloud = await overlay.join("cloud", authenticity=cloud_says, subscribe=[item("/map")])
+    maps = Inbox()
+    await cloud.create_subscription("/map", STRING, LATCHED, maps)
+    publisher = await robot.create_publisher("/map", STRING, LATCHED)
+    await until(lambda: overlay.gateways[1].status()["routes"][0]["state"] == "active")
+    publisher.publish(sample("here"))
+    await maps.wait(1, 30)
+    assert {(head.session, head.signed) for head in heads} == {(cloud_says == "session", cloud_says == "signed")}
 
 
 async def test_services_and_actions(overlay: Overlay) -> None:
@@ -181,6 +204,12 @@ async def test_metadata_of_one_item(overlay: Overlay) -> None:
         ({"address": "overlay", "token": {"env": "X"}}, {}, "remotes[0].token", "certificates say who is who"),
         ({"address": "overlay", "automatic": {"allow": ["camera"]}}, {}, "remotes[0].automatic.allow[0]", "/camera/*"),
         ({"address": "ws://a"}, {"overlay": {"identity": "nowhere"}}, "gateway.overlay.identity", "existing file"),
+        (
+            {"address": "ws://a"},
+            {"overlay": {"identity": __file__, "authenticity": "none"}},
+            "gateway.overlay.authenticity",
+            "session",
+        ),
         (
             {"address": "ws://a"},
             {"overlay": {"identity": __file__, "routers": ["tcp/a:1"]}},
