@@ -276,8 +276,6 @@ class Outcome:
     queue_s: float
     """The mean wait at the bottleneck."""
     unsent_bytes: float
-    median_queue_s: float
-    longest_queue_s: float
 
 
 def read(tcp: Tcp, model: LinkModel) -> None:
@@ -286,12 +284,12 @@ def read(tcp: Tcp, model: LinkModel) -> None:
     if model.squeezed():
         tcp.start_again()
     if isinstance(tcp, Kernel):
-        tcp.rate = model.spread_bps
+        pace = model.wanted_bps
+        tcp.rate = None if pace is None or model.starting else 1.25 * pace
 
 
-def greedy(clock: Clock, tcp: Tcp, model: LinkModel, late_s: float = 0.0) -> None:
-    """Send as much as the model allows, always; it looks at its connection late, by ``late_s`` on the average."""
-    chance = random.Random(1)
+def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:
+    """Send as much as the model allows, always."""
 
     def look() -> None:
         read(tcp, model)
@@ -303,8 +301,7 @@ def greedy(clock: Clock, tcp: Tcp, model: LinkModel, late_s: float = 0.0) -> Non
             tcp.hand(part)
             if model.room_bytes <= 0:
                 read(tcp, model)
-        late = chance.expovariate(1 / late_s) if late_s else 0.0
-        clock.at(clock.now + max(model.look_in_s, LOOK_S) + late, look)
+        clock.at(clock.now + max(model.look_in_s, LOOK_S), look)
 
     look()
 
@@ -318,7 +315,6 @@ def simulate(
     change: Callable[[], None] | None = None,
     change_at: float = 0.0,
     luck_s: float = 0.0,
-    late_s: float = 0.0,
 ) -> Outcome:
     """Run a greedy sender for a while; its first round trip was shorter than others by ``luck_s``."""
     clock = Clock()
@@ -333,14 +329,13 @@ def simulate(
             unsent.append(tcp.unsent_bytes)
         clock.at(clock.now + 0.0037, sample)
 
-    clock.at(0.0, lambda: greedy(clock, tcp, model, late_s))
+    clock.at(0.0, lambda: greedy(clock, tcp, model))
     clock.at(0.0, sample)
     if change is not None:
         clock.at(change_at, change)
     clock.run(seconds)
     got = sum(size for at, size in tcp.arrived if skip_s <= at < seconds)
-    rate, median = got / (seconds - skip_s), sorted(waits)[len(waits) // 2]
-    return Outcome(rate, sum(waits) / len(waits), sum(unsent) / len(unsent), median, max(waits))
+    return Outcome(got / (seconds - skip_s), sum(waits) / len(waits), sum(unsent) / len(unsent))
 
 
 def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> None:

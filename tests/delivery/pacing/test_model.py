@@ -68,24 +68,6 @@ def test_a_lucky_first_round_trip(mbit: float, luck_ms: float) -> None:
     assert outcome.queue_s <= allowed_queue_s(path), outcome
 
 
-@pytest.mark.parametrize("late_ms", [0, 2])
-@pytest.mark.parametrize("mbit", [3, 5, 8])
-def test_a_slow_link(mbit: float, late_ms: float) -> None:
-    """What is ahead on a slow, long link waits at the sender: a packet of another connection finds two before it."""
-    path = Path(mbit * _MBIT, 0.035)
-    outcome = simulate(path, congestion="kernel", seconds=8.0, skip_s=2.0, late_s=late_ms / 1e3)
-    assert outcome.rate >= 0.95 * path.rate * _GOODPUT, outcome
-    assert outcome.median_queue_s <= 2.2 * (SEGMENT_BYTES + HEADERS_BYTES) / path.rate, outcome
-
-
-@pytest.mark.parametrize(("mbit", "delay_ms"), [(5, 35), (20, 50), (50, 35), (100, 10)])
-def test_the_start_is_bounded(mbit: float, delay_ms: float) -> None:
-    """The start, and what follows it, makes no queue as long as the round trip."""
-    path = Path(mbit * _MBIT, delay_ms / 1e3)
-    outcome = simulate(path, congestion="kernel", seconds=40 * path.delay_s + 1.0, skip_s=0.0)
-    assert outcome.longest_queue_s <= 0.6 * 2 * path.delay_s, outcome
-
-
 @pytest.mark.parametrize("mbit", [5, 20])
 def test_messages_that_fit_the_window(mbit: float) -> None:
     """Pictures that need less than the link make no longer a queue than those that need all of it."""
@@ -235,36 +217,20 @@ def test_not_starved(congestion: str, other: str, late_s: float) -> None:
     assert got.other >= 0.2 * 20 * _MBIT, got
 
 
-def after_others_left(path: Path, *, count: int, congestion: str, settle_s: float) -> Shared:
-    """Let senders of ours share a link with one that fills it and leaves; tell of what comes ``settle_s`` later."""
-    ours = Crowd(path, count=count, congestion=congestion, other="cubic")
-    ours.run(3.0)
-    ours.filling = True
-    ours.run(12.0)
-    ours.filling = False
-    ours.run(settle_s)
-    return ours.run(4.0)
-
-
 @pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("congestion", ["open", "cubic"])
 def test_others_who_leave(congestion: str, count: int) -> None:
     """Once who filled the link has gone it is full all the same, and its queue goes too."""
     path = Path(100 * _MBIT, 0.01)
-    got = after_others_left(path, count=count, congestion=congestion, settle_s=6.0)
+    ours = Crowd(path, count=count, congestion=congestion, other="cubic")
+    ours.run(3.0)
+    ours.filling = True
+    ours.run(12.0)
+    ours.filling = False
+    ours.run(6.0)
+    got = ours.run(4.0)
     assert sum(got.ours) >= 0.9 * path.rate * _GOODPUT, got
     assert got.queue_s <= 0.25 * 2 * path.delay_s + 0.01, got
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("delay_ms", [5, 9, 11, 20, 40])
-@pytest.mark.parametrize("congestion", ["open", "cubic"])
-def test_two_whom_others_leave(delay_ms: float, congestion: str) -> None:
-    """Two senders, of whom each takes the queue of the other for the path, find its shortest round trip again."""
-    path = Path(100 * _MBIT, delay_ms / 1e3)
-    got = after_others_left(path, count=2, congestion=congestion, settle_s=8.0)
-    assert sum(got.ours) >= 0.9 * path.rate * _GOODPUT, got
-    assert got.queue_s <= 0.25 * 2 * path.delay_s + 0.02, got
 
 
 @pytest.mark.parametrize("mbit", [5, 10, 20])
@@ -331,18 +297,6 @@ def test_the_pace_next_to_us() -> None:
         assert (model.bytes_per_s is not None) is known
 
 
-def test_spreading() -> None:
-    """The kernel spreads packets at the pace of a slow link, and a little faster on others; next to us not at all."""
-    gains = {}
-    for pace, rtt in ((500_000, 0.05), (5_000_000, 0.05), (500_000, 0.0001)):
-        model = LinkModel()
-        model.starting = False
-        model.pace.carried(pace, 1.0)
-        model.observe(reading(0.0, 0, rtt=rtt))
-        gains[pace, rtt] = model.spread_bps and model.spread_bps / pace
-    assert gains == {(500_000, 0.05): 1.0, (5_000_000, 0.05): pytest.approx(1.25), (500_000, 0.0001): None}
-
-
 def test_looks_that_come_late() -> None:
     """Where the kernel has run dry whenever we look, it may hold more; later, when we look in time, less again."""
     model = LinkModel()
@@ -352,7 +306,7 @@ def test_looks_that_come_late() -> None:
     for i in range(400):
         late = i < 100
         model.handed(1 << 20)
-        model.observe(reading(0.01 * i, 40_000 * i, unsent=0 if late else 4096))
+        model.observe(reading(0.01 * i, 10_000 * i, unsent=0 if late else 4096))
         limits.append(model.unsent_limit_bytes)
     assert limits[99] > limits[0]
     assert limits[-1] < limits[99]

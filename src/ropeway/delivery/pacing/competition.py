@@ -36,13 +36,11 @@ _TAKEN: Final = 0.75  # of what we had before is left where others on a near lin
 _FORGOTTEN: Final = 0.9995  # of that is remembered per round trip of at least 10 ms
 _NO_QUEUE_S: Final = 0.01  # others who fill a link leave more
 _LITTLE: Final = 2  # times the least window
-_LESS: Final = 0.93  # of the window is left once we have yielded to a queue in vain
+_LESS: Final = 0.9  # of the window is left once we have yielded to a queue in vain
 _PLAIN: Final = 3  # pairs of segments that a queue of ours is longer with more of the window
 _FIRST_PROBE: Final = 0.1  # of the window
 _STEP: Final = 1.25  # the next probe is larger by so much
 _DOUBLE: Final = 1.0  # of the window: what others who fill the link leave us is looked for in leaps
-_YIELD: Final = 0.7  # of the window is left where the link loses packets, as CUBIC does it
-_FALLEN: Final = 0.87  # of the longest round trip: others of our kind may be looking whose queue it is
 _REST_ROUNDS: Final = 3  # after a loss, or a test
 _SURE_S: Final = 5.0  # so long a lost packet says nothing new
 _TRIED_ROUNDS: Final = 3  # until what TCP sends more shows
@@ -50,10 +48,7 @@ _SURE: Final = 2  # answers in a row: others who lose packets, or send more, cha
 
 
 class Situation(NamedTuple):
-    """The state of the link as its model sees it.
-
-    We want a queue of ``target_s``; one of ``usual_s`` says nothing of others, and one of ``long_s`` nobody wants.
-    """
+    """The state of the link as its model sees it; ``long_s`` is a queue longer than anybody wants."""
 
     now_s: float
     window_bytes: int
@@ -62,7 +57,6 @@ class Situation(NamedTuple):
     base_s: float
     queue_s: float
     target_s: float
-    usual_s: float
     long_s: float
 
 
@@ -96,7 +90,6 @@ class Competition:
         self._rest = 0  # so often no more is tried
         self._doubts = False  # the link has lost packets, and may be ours alone
         self._sure_until_s = 0.0  # that it is not
-        self._longest_s = 0.0  # the longest round trip since we looked whose queue it is
         self._ours = 0  # how often the queue has proved to be ours
         self.squeezed = False
         """TCP leaves us less than our share, as it lost packets when others filled the link."""
@@ -112,10 +105,6 @@ class Competition:
     def competing(self) -> bool:
         """Return whether others fill the link: to yield to their queue would leave us nothing."""
         return self._competing
-
-    def raised(self, base_s: float) -> bool:
-        """Return whether a shortest round trip is longer than before others came, though they do not fill the link."""
-        return self._held is not None and not self._competing and base_s >= self._held.base_s + _NO_QUEUE_S
 
     def test(self, window_bytes: int, bytes_per_s: float, queue_s: float, base_s: float = 0.0) -> None:
         """Begin a test with a window that is about to be cut."""
@@ -160,7 +149,7 @@ class Competition:
             advice = self._compete(now)
             if advice is not None or self._competing:
                 return advice
-        crowded = now.queue_s > _CROWDED * min(now.usual_s, _CROWDED_S) and self._test is None
+        crowded = now.queue_s > _CROWDED * min(now.target_s, _CROWDED_S) and self._test is None
         self._crowded = self._crowded + 1 if crowded else 0
         if now.queue_s > max(2 * now.target_s, now.long_s):
             return self._tested(now)
@@ -210,7 +199,7 @@ class Competition:
         if now.queue_s <= now.target_s or now.base_s < _FAR_S or not self._precise:
             self._yielded = None
             return None
-        grown = yielded is not None and now.queue_s > yielded.queue_s + now.usual_s / 2
+        grown = yielded is not None and now.queue_s > yielded.queue_s + now.target_s / 2
         if yielded is None or grown or now.window_bytes >= yielded.window_bytes:
             self._yielded, self._yields = _Test(now.window_bytes, now.bytes_per_s, now.queue_s), 0
             return None
@@ -232,11 +221,7 @@ class Competition:
         """
         self._probe = None  # what was asked was not done
         held = self._held_now(now)
-        if held is None:
-            return None
-        if self._is_joined(now.base_s + now.queue_s):
-            return self._doubt(now, now.window_bytes)
-        if self._rests():
+        if held is None or self._rests():
             return None
         if self._doubts and now.now_s >= self._sure_until_s:
             return self._doubt(now, now.window_bytes)
@@ -252,14 +237,10 @@ class Competition:
         test, self._test = self._test, None
         if test is not None and now.window_bytes < _CUT * test.window_bytes:
             return self._judged(test, held, now)
-        if self._is_joined(now.base_s + now.queue_s) or (self._doubts and now.now_s >= self._sure_until_s):
-            return self._doubt(now, now.window_bytes)
-        lost, self._lost = self._lost, False
-        if lost:  # the queue is full: as much goes on being lost if nobody sends less
-            least = _SHARE * held.bytes_per_s * (now.base_s + now.queue_s)
-            return Advice(max(_YIELD * now.window_bytes, min(least, now.window_bytes)))
         if self._rests():
             return None
+        if self._doubts and now.now_s >= self._sure_until_s:
+            return self._doubt(now, now.window_bytes)
         return self._ask(now.window_bytes, now.queue_s, _DOUBLE, None)
 
     def _held_now(self, now: Situation) -> _Held | None:
@@ -272,14 +253,6 @@ class Competition:
         self._competing = False
         return None
 
-    def _is_joined(self, rtt_s: float) -> bool:
-        """Return whether the queue has become shorter by itself: we look whose it is when others of our kind do.
-
-        Who looks alone sees the queue of the others, for ever.
-        """
-        self._longest_s = max(self._longest_s, rtt_s)
-        return rtt_s < _FALLEN * self._longest_s
-
     def _rests(self) -> bool:
         if not self._rest:
             return False
@@ -288,7 +261,7 @@ class Competition:
 
     def _doubt(self, now: Situation, window_bytes: int) -> Advice:
         """See whether there still are others: a link that loses, or whose queue we make longer, may be ours alone."""
-        self._doubts, self._ours, self._longest_s = False, 0, 0.0
+        self._doubts, self._ours = False, 0
         self._test = _Test(now.window_bytes, now.bytes_per_s, now.base_s + now.queue_s)
         return Advice(_HALF * window_bytes)
 
@@ -316,7 +289,7 @@ class Competition:
             if now.bytes_per_s >= _TAKEN * self._most_bps:  # as little as we send makes such a queue
                 return None
             patience = _SLOW_ROUNDS
-        if self._crowded < (_CROWDED_ROUNDS if now.queue_s > _CROWDED * now.usual_s else patience):
+        if self._crowded < (_CROWDED_ROUNDS if now.queue_s > _CROWDED * now.target_s else patience):
             return None
         plain = _PLAIN * now.least_bytes / (now.bytes_per_s * (now.base_s + now.queue_s))
         return self._ask(now.window_bytes, now.queue_s, min(max(_FIRST_PROBE, plain), 1.0), None)

@@ -34,18 +34,10 @@ _MOST_WINDOW_BYTES: Final = 64 << 20
 _LEAST_QUEUE_S: Final = 0.002  # timers have a resolution of 1 ms
 _MOST_QUEUE_S: Final = 0.005
 _QUEUE_SHARE: Final = 0.05  # of the round trip
-_KEPT_SEGMENTS: Final = 0.75  # of a queue keep a slow link busy, as they arrive in pairs
 _MOST_QUEUE_SHARE: Final = 0.25  # where round trips vary
 _FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as much each time it still does not
 _LEAP: Final = 2.0  # where the pace says that there is room, and at most
 _LEAST_LEAP: Final = 1.25
-_FILLING: Final = 1.5  # times the queue that is none, at the end of a round
-_SPREAD_GAIN: Final = 1.25  # more than the pace, so that a faster link shows
-_SPREAD_ROUND_TRIP_S: Final = 0.002  # nearer, bursts cost no other topic anything
-_SPREAD_MOST_BPS: Final = 50e6  # bytes per second: faster links swallow bursts
-_STEADY: Final = 1.1  # times what the pace fills: such a window is not about to grow
-_CAUTIOUS_STEPS: Final = 3  # of its growth; a slow link that still has no queue has become faster
-_AHEAD: Final = 1.3  # times what the pace fills: farther the window does not grow before the pace has followed
 _LONG_ROUND_TRIP_S: Final = 0.005  # below, the window is what processors need
 _NEAR_S: Final = 0.001
 _BASE_MEMORY_S: Final = 5.0  # the shortest round trip is that of five to ten seconds
@@ -54,8 +46,6 @@ _LUCK: Final = 2.0  # deviations, by which it may have been shorter than the oth
 _MOST_LUCK: Final = 0.2  # of it: more is a queue
 _DRAIN_ROUNDS: Final = 3
 _LEAST_DRAINED: Final = 0.5  # of the window is used while we look for the shortest round trip
-_LITTLE_CUT: Final = 0.9  # less changes a queue by no more than it varies
-_DEEPLY_DRAINED: Final = 0.25  # likewise, where it may be the queue of others like us that have raised it
 _CUT: Final = 0.8  # of the window is left after a cut that should show
 _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
 _MOST_UNSENT_S: Final = 0.016  # where processors are busy, and we look late
@@ -112,6 +102,7 @@ class LinkModel:
         self._unsent_bytes = 0
         self._unsent_s = _UNSENT_S
         self._by_kernel = False  # it, and not the window, holds back what is sent
+        self._largest_bytes = 0.0  # of what was handed over at once
         self._segment_bytes = 1
         self._least_bytes = _LEAST_WINDOW_BYTES
         self._quiet = 0
@@ -121,8 +112,6 @@ class LinkModel:
         self._held_in_slot = False
         self._drain_rounds = 0
         self._settling = 0
-        self._delivered_bytes = 0
-        self._cut_bytes = 0  # what had been handed over when the window was cut
         self._slow_start = False  # the start has begun to make a queue
         self._round: Round | None = None
         self._bounds = RoundTripBounds()
@@ -152,22 +141,6 @@ class LinkModel:
         return max(pace, self.window_bytes / base_s)
 
     @property
-    def spread_bps(self) -> float | None:
-        """The rate at which the kernel is to spread packets, ``None`` to let it send at once.
-
-        A slow link gets what it carries and no more, so that what is ahead waits here and not before a packet of
-        another connection; but while the window has grown beyond that, and elsewhere, a little more, so that a link
-        that became faster shows.
-        """
-        wanted, base_s = self.wanted_bps, self.base_rtt_s or 0.0
-        if wanted is None or self.starting or wanted >= _SPREAD_MOST_BPS or base_s < _SPREAD_ROUND_TRIP_S:
-            return None
-        pace = self.pace.bytes_per_s or wanted
-        if self._segment_s < _SHORTEST_LOOK_S or self._quiet > _CAUTIOUS_STEPS:
-            return _SPREAD_GAIN * wanted
-        return max(pace, self.window_bytes / (base_s + self._usual_queue_s) / _STEADY)
-
-    @property
     def unsent_limit_bytes(self) -> int:
         """The number of bytes that may wait in the kernel."""
         least = max(_LEAST_UNSENT_BYTES, self._least_bytes)
@@ -179,27 +152,16 @@ class LinkModel:
     @property
     def target_queue_s(self) -> float:
         """The queue that keeps the link busy between two looks."""
-        segment_s = self._segment_s
-        if segment_s >= _SHORTEST_LOOK_S:  # a segment lasts until the next look
-            return max(_KEPT_SEGMENTS * segment_s, _SHORTEST_LOOK_S) + self._traits.slack_s
-        return self._usual_queue_s
-
-    @property
-    def _segment_s(self) -> float:
-        """The time that what is handed over at once takes on the link, 0 while its pace is unknown."""
-        pace = self.pace.bytes_per_s
-        return 0.0 if pace is None else max(self._traits.part_bytes, self._segment_bytes) / pace
-
-    @property
-    def _usual_queue_s(self) -> float:
-        """A queue that says nothing of others: segments go and are told of in pairs."""
-        target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * (self.base_rtt_s or 0.0), _MOST_QUEUE_S), self._segment_s)
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s or 0.0
+        target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
+        if pace is not None:  # segments go and are told of in pairs
+            target_s = max(target_s, max(self._traits.part_bytes, self._segment_bytes) / pace)
         return target_s + self._traits.slack_s
 
     @property
     def _long_queue_s(self) -> float:
         """A queue that we did not want."""
-        return max(_LONG_QUEUE * max(self._usual_queue_s, _MOST_QUEUE_S), _LONG_SHARE * (self.base_rtt_s or 0.0))
+        return max(_LONG_QUEUE * max(self.target_queue_s, _MOST_QUEUE_S), _LONG_SHARE * (self.base_rtt_s or 0.0))
 
     @property
     def look_in_s(self) -> float:
@@ -218,14 +180,13 @@ class LinkModel:
             return self.window_bytes
         base, target = self.base_rtt_s, self.target_queue_s
         share = max((base - 2 * target) / (base + target), _LEAST_DRAINED)
-        if self._others.raised(base):
-            share = _DEEPLY_DRAINED
         return int(max(share * self.window_bytes, self._least_bytes))
 
     def handed(self, size_bytes: int) -> None:
         """Note what was handed to the kernel since the last reading."""
         self.room_bytes -= size_bytes
         self.outstanding_bytes += size_bytes
+        self._largest_bytes = max(size_bytes, self._largest_bytes * _FORGET)
 
     def squeezed(self) -> bool:
         """Return, once, whether the congestion control is to forget its losses: others fill the link, and not we."""
@@ -238,7 +199,7 @@ class LinkModel:
         self._segment_bytes = reading.segment_bytes
         self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
         self.window_bytes = max(self.window_bytes, self._least_bytes)
-        self._unsent_bytes, self._delivered_bytes = reading.unsent_bytes, reading.delivered_bytes
+        self._unsent_bytes = reading.unsent_bytes
         self.outstanding_bytes = reading.in_flight_bytes + reading.unsent_bytes
         if reading.rtt_s > 0:
             self._note_round_trip(reading.rtt_s, now)
@@ -273,7 +234,7 @@ class LinkModel:
         if now >= self._slot_ends_s:
             self._slot_ends_s = now + _BASE_MEMORY_S
             slots[0], slots[1] = slots[1], rtt_s
-            drain = self._held_in_slot and (not self._others.tested or self._others.raised(self.base_rtt_s or 0.0))
+            drain = self._held_in_slot and not self._others.tested
             self._drain_rounds, self._held_in_slot = (_DRAIN_ROUNDS if drain else 0), False
         else:
             slots[1] = min(slots[1], rtt_s)
@@ -316,7 +277,7 @@ class LinkModel:
         base = self.base_rtt_s
         if base is None:
             return
-        queue_s = self.queue_s = max(0.0, ended.shortest_s(reading, precise=self._others.tested) - base)
+        queue_s = self.queue_s = max(0.0, ended.shortest_s(reading) - base)
         target_s = self._tolerated_s(ended.deviation_s)
         slow, self._slow_start = self._slow_start, self.starting and ended.least_s - base >= max(_MOST_QUEUE_S, base)
         if slow and self._slow_start:  # the smoothed round trip, which was short, does not show it yet
@@ -332,10 +293,10 @@ class LinkModel:
             self._settling = 1
         elif ended.held:
             self._held_in_slot = True
-            if ended.from_bytes < self._cut_bytes:
-                self._settling = 1  # what arrived was sent before the window was cut
+            if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes + self._largest_bytes:
+                self._settling = 1  # what was sent before a cut is still on the way
             elif queue_s < self._no_queue_s(target_s):
-                if not self._slow_start and not self._is_filling(reading.rtt_s - base, target_s):
+                if not self._slow_start:
                     self._grow(base + target_s)
             elif self._settling:
                 self._settling -= 1  # what arrived was sent before the last change
@@ -349,10 +310,6 @@ class LinkModel:
                 self._take(advice)
         elif full and base >= _LONG_ROUND_TRIP_S and not self._others.competing:
             self._narrow(base + target_s)
-
-    def _is_filling(self, queue_s: float, target_s: float) -> bool:
-        """Return whether the start makes a queue that the shortest round trip, which is older, does not show yet."""
-        return self.starting and queue_s >= _FILLING * self._no_queue_s(target_s)
 
     def _narrow(self, busy_s: float) -> None:
         """Cut a window that is too wide though it holds nobody back: messages that fit it make a queue."""
@@ -375,16 +332,10 @@ class LinkModel:
             self._settling -= 1
             return
         self._quiet += 1
-        step = min(1 + _FIRST_STEP * 2 ** (self._quiet - 1), _LEAP)
-        coarse = self.starting or self._traits.slack_s > 0  # small steps do not show
-        if below and coarse:
-            step = _LEAP if pace is None else _LEAST_LEAP
+        step = _LEAP if below else min(1 + _FIRST_STEP * 2 ** (self._quiet - 1), _LEAP)
         wider = step * self.window_bytes
-        if pace is not None:
-            if below:
-                wider = max(wider, min(pace * busy_s, _LEAP * self.window_bytes))
-            if not self._traits.slack_s:  # a link with so much more room would have carried more by now
-                wider = min(wider, max(_AHEAD * pace * busy_s, self.window_bytes))
+        if below and pace is not None:
+            wider = min(wider, max(pace * busy_s, _LEAST_LEAP * self.window_bytes))
         self._set_window(wider)
 
     def _cut_at_once(self, rtt_s: float) -> None:
@@ -402,7 +353,6 @@ class LinkModel:
         wanted = max(pace * (base + self.target_queue_s), self._least_bytes, others.least_cut_bytes())
         if wanted < _CUT * self.window_bytes:
             others.test(self.window_bytes, pace, rtt_s - base, base)
-            self._quiet = 0
             self._set_window(wanted)
 
     def _tolerated_s(self, deviation_s: float) -> float:
@@ -428,9 +378,7 @@ class LinkModel:
         pace, base_s = self.pace.bytes_per_s, self.base_rtt_s
         if pace is None or base_s is None:
             return None
-        usual_s = max(target_s, self._usual_queue_s)
-        least_bytes, long_s = self._least_bytes, self._long_queue_s
-        return Situation(now_s, window_bytes, least_bytes, pace, base_s, queue_s, target_s, usual_s, long_s)
+        return Situation(now_s, window_bytes, self._least_bytes, pace, base_s, queue_s, target_s, self._long_queue_s)
 
     def _take(self, advice: Advice) -> None:
         if advice.base_s is not None:
@@ -443,6 +391,4 @@ class LinkModel:
         if pace is not None and base_s is not None and not self.starting:
             size_bytes = min(size_bytes, self._traits.most_windows * pace * (base_s + self.target_queue_s))
         self.window_bytes = int(min(max(size_bytes, self._least_bytes), _MOST_WINDOW_BYTES))
-        if self.window_bytes < _LITTLE_CUT * before:
-            self._cut_bytes = self._delivered_bytes + self.outstanding_bytes
         self._settling = self._traits.echo_rounds if self.window_bytes > before else 1

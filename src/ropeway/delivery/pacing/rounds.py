@@ -80,10 +80,10 @@ class Round:
     __slots__ = (
         "_began_s",
         "_bound_s",
+        "_from_bytes",
         "_smoothed_s",
         "_until_bytes",
         "deviation_s",
-        "from_bytes",
         "held",
         "kernel_held",
         "least_s",
@@ -92,7 +92,7 @@ class Round:
 
     def __init__(self, reading: LinkReading, outstanding_bytes: int) -> None:
         self._began_s = reading.now_s
-        self.from_bytes = reading.delivered_bytes
+        self._from_bytes = reading.delivered_bytes
         self._until_bytes = reading.delivered_bytes + outstanding_bytes
         self._smoothed_s = self._bound_s = float("inf")
         self.least_s = 0.0
@@ -110,14 +110,12 @@ class Round:
         )
 
     def _is_telling(self, reading: LinkReading) -> bool:
-        arrived = reading.delivered_bytes - self.from_bytes
+        arrived = reading.delivered_bytes - self._from_bytes
         return arrived >= _SHORTEST_ROUND_SEGMENTS * reading.segment_bytes
 
-    def shortest_s(self, reading: LinkReading, *, precise: bool = False) -> float:
-        """Return the shortest round trip of one that is over; ``precise`` where it may have just become shorter."""
-        if self._is_telling(reading) and not precise:
-            return self._smoothed_s
-        return min(self._smoothed_s, self._bound_s)
+    def shortest_s(self, reading: LinkReading) -> float:
+        """Return the shortest round trip of one that is over."""
+        return self._smoothed_s if self._is_telling(reading) else min(self._smoothed_s, self._bound_s)
 
     def note(self, reading: LinkReading, bounds: RoundTripBounds, *, held: bool, kernel_holds: bool) -> None:
         """Take a reading within the round, and the bounds of the round trip that it shows."""

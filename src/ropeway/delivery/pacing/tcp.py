@@ -103,7 +103,7 @@ class Tcp:
     def pace(self, bytes_per_s: float | None) -> None:
         """Make the kernel spread packets evenly at this rate, ``None`` for no limit."""
         wanted = _NO_PACING if bytes_per_s is None else min(int(bytes_per_s), _NO_PACING - 1)
-        if wanted == self._paced or abs(wanted - self._paced) * 50 <= min(wanted, self._paced):  # within a fiftieth
+        if wanted == self._paced or abs(wanted - self._paced) * 20 <= min(wanted, self._paced):  # within a twentieth
             return
         self._paced = wanted
         with contextlib.suppress(OSError, AttributeError):
