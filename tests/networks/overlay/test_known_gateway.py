@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ropeway.errors import SealError
-from ropeway.networks.overlay.known_gateway import CHALLENGE_BYTES, KnownGateway, clock_ahead_s
+from ropeway.networks.overlay.known_gateway import CHALLENGE_BYTES, KnownGateway, clock_ahead_s, unreachable
 from ropeway.networks.overlay.refusal import Refusal
 
 NOW_NS = 1_800_000_000 * 10**9
@@ -49,3 +49,13 @@ def test_silence() -> None:
     assert not known.silent(11.0)
     assert known.silent(20.0)
     assert not KnownGateway().silent(20.0)
+
+
+def test_silence_while_others_tell_who_they_are() -> None:
+    """A gateway that does not answer while others join is taken to be busy, until a minute has passed."""
+    silent, joined = KnownGateway(unanswered=10.0), KnownGateway(joined=19.0)
+    assert unreachable({b"silent": silent}, 20.0) == b"silent"
+    assert unreachable({b"silent": silent, b"joined": joined}, 20.0) is None
+    assert unreachable({b"silent": silent, b"joined": joined}, 24.0) == b"silent"
+    joined.joined = 70.0
+    assert unreachable({b"silent": silent, b"joined": joined}, 71.0) == b"silent"

@@ -13,11 +13,12 @@ from ropeway.networks.overlay.announcement import NoteKey
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["CHALLENGE_BYTES", "SHAPES", "KnownGateway", "clock_ahead_s", "gateway_of", "read_told"]
+__all__ = ["CHALLENGE_BYTES", "SHAPES", "KnownGateway", "clock_ahead_s", "gateway_of", "read_told", "unreachable"]
 
 CHALLENGE_BYTES: Final = 16
 _SKEW_S: Final = 120.0  # of a list that does not answer our challenge: an older one may be sent again
 _NO_WAY_S: Final = 4.0  # a way is there within tenths of a second, and a token goes within three
+_NO_WAY_BUSY_S: Final = 60.0  # while others tell who they are: links made anew would have all of them ask again
 _NS: Final = 10**9
 
 SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
@@ -43,6 +44,7 @@ class KnownGateway:
     notes: NoteKey | None = None
     synced: float = float("-inf")
     unanswered: float = 0.0  # since when it does not answer
+    joined: float = float("-inf")  # when it told who it is
     aims: bool = False  # it knows advertisements that are for one gateway alone
     ways: int = 0  # by which it may send the same packet; 0 if it tells no copies from replays
     clock_ahead_s: float = 0.0  # its clock, beside ours
@@ -51,6 +53,8 @@ class KnownGateway:
         self, certificate: Certificate, notes: NoteKey, hello: Mapping[str, Any], ahead_s: float, now_s: float
     ) -> None:
         """Take what its list begins with, and by how much its clock is ahead."""
+        if self.certificate is None:
+            self.joined = now_s
         self.certificate, self.name, self.notes = certificate, certificate.name, notes
         self.told_ns = max(self.told_ns, hello["t"])
         self.clock_ahead_s, self.heard = ahead_s, now_s
@@ -58,9 +62,19 @@ class KnownGateway:
         ways = hello.get("ways")
         self.ways = ways if type(ways) is int and 0 < ways <= OVERLAY_WAYS else 0
 
-    def silent(self, now_s: float) -> bool:
+    def silent(self, now_s: float, patience_s: float = _NO_WAY_S) -> bool:
         """Return whether it has not told who it is for so long that there must be no way to it."""
-        return self.certificate is None and bool(self.unanswered) and now_s - self.unanswered > _NO_WAY_S
+        return self.certificate is None and bool(self.unanswered) and now_s - self.unanswered > patience_s
+
+
+def unreachable(gateways: Mapping[bytes, KnownGateway], now_s: float) -> bytes | None:
+    """Return a gateway that is heard of, but has not told who it is for so long that there must be no way to it.
+
+    While others tell who they are, as when many start at once, it is only busy, unless that takes very long.
+    """
+    busy = any(now_s - known.joined < _NO_WAY_S for known in gateways.values())
+    patience_s = _NO_WAY_BUSY_S if busy else _NO_WAY_S
+    return next((id for id, known in gateways.items() if known.silent(now_s, patience_s)), None)
 
 
 def read_told(answer: Any) -> tuple[list[bytes], NoteKey]:

@@ -33,6 +33,7 @@ from ropeway.networks.overlay.known_gateway import (
     clock_ahead_s,
     gateway_of,
     read_told,
+    unreachable,
 )
 from ropeway.networks.overlay.known_gateway import SHAPES as _SHAPES
 from ropeway.networks.overlay.own_adverts import Notes, OwnAdverts, notes_of, read_raws, with_notes
@@ -166,9 +167,7 @@ class Membership:
         return self._notes.seal(self._fabric.gateway, kind, body, self._identity.sign)
 
     def _heartbeat(self, *, bye: bool = False) -> dict[str, Any]:
-        tails = self._tails()
-        if len(tails) > _TAILS:
-            tails = dict(list(tails.items())[:_TAILS])
+        tails = dict(list(self._tails().items())[:_TAILS])
         beat: dict[str, Any] = {"t": self._clock_ns(), "v": self._own.version, "w": tails, "r": self._trust.crl_number}
         if bye:
             beat["bye"] = True
@@ -226,7 +225,7 @@ class Membership:
 
     def unreachable(self) -> bytes | None:
         """Return a gateway that is heard of, but has not told who it is for so long that there must be no way to it."""
-        return next((id for id, known in self._known.items() if known.silent(self._loop.time())), None)
+        return unreachable(self._known, self._loop.time())
 
     def certificate(self, gateway: bytes) -> Certificate | None:
         """Return the certificate of a gateway's owner, ``None`` if it is not known."""
