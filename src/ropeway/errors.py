@@ -52,11 +52,12 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from ropeway.limits import SHOWN_TEXT_CHARACTERS
 
 __all__ = [
+    "TOP_LEVEL",
     "AccessDenied",
     "BagUnreadable",
     "CallError",
@@ -103,6 +104,9 @@ __all__ = [
 ]
 
 
+TOP_LEVEL: Final = "(top level)"  # the path of a fault of a whole document
+
+
 def _short(text: str) -> str:
     """Return a text of somebody else as far as people want to read it: errors are logged, and sent as answers."""
     return text if len(text) <= SHOWN_TEXT_CHARACTERS else f"{text[: SHOWN_TEXT_CHARACTERS - 1]}…"
@@ -113,15 +117,14 @@ class RopewayError(Exception):
 
 
 class ConfigError(RopewayError):
-    """A configuration that cannot be used.
-
-    ``problems`` is a list of ``(path, text)``: the JSON path of each fault and one line about it.
-    """
+    """A configuration that cannot be used; ``problems`` has the JSON path of each fault and one line about it."""
 
     def __init__(self, problems: list[tuple[str, str]], source: str = "") -> None:
         self.problems = problems
         self.source = source
-        super().__init__("\n".join(f"{source + ': ' if source else ''}{path}: {text}" for path, text in problems))
+        where = f"{source}: " if source else ""
+        lines = (where + (text if source and path == TOP_LEVEL else f"{path}: {text}") for path, text in problems)
+        super().__init__("\n".join(lines))
 
 
 class TypesError(RopewayError):

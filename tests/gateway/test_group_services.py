@@ -18,6 +18,7 @@ from tests.support.until import until
 from tests.support.world import World, url
 
 REGISTRY = TypeRegistry()
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 POLICY = {"robot": "robot", "m0": "service", "m1": "standby"}
 
 
@@ -98,18 +99,50 @@ async def test_optimise(world: World) -> None:
     assert all(members[url(edge.gateway)]["latency_s"] for edge in edges)
 
 
-async def test_the_profile_is_a_topic(world: World) -> None:
-    """The profile is published as diagnostics: a status per member, with its statistics as values."""
-    robot, _ = await started(world)
-    got: list[dict[str, Any]] = []
-    type = "diagnostic_msgs/msg/DiagnosticArray"
+async def profiles_of(robot: Robot) -> list[list[dict[str, Any]]]:
+    """Return a list to which the rows of each profile that is published are added."""
+    got: list[list[dict[str, Any]]] = []
 
     def came(batch: Sequence[Sample]) -> None:
-        got.extend(REGISTRY.codec(type).decode(sample.payload) for sample in batch)
+        got.extend(REGISTRY.codec(DIAGNOSTICS).decode(sample.payload)["status"] for sample in batch)
 
-    await robot.node.create_subscription("/robot/anycast/profile", type, None, came)
-    await until(lambda: got)
-    status = got[-1]["status"]
-    assert len(status) == 2
-    used = next(row for row in status if row["message"].startswith("in use"))
-    assert {"median", "p99", "in_flight"} <= {pair["key"] for pair in used["values"]}
+    await robot.node.create_subscription("/robot/anycast/profile", DIAGNOSTICS, None, came)
+    return got
+
+
+async def test_the_profile_is_a_topic(world: World) -> None:
+    """The profile is published as diagnostics: a row per member, with its statistics and its name in the policy."""
+    robot, _ = await started(world)
+    got = await profiles_of(robot)
+    await until(lambda: got and any(pair["key"] == "median" for row in got[-1] for pair in row["values"]))
+    used, other = ({pair["key"]: pair["value"] for pair in row["values"]} for row in got[-1])
+    assert [row["message"].partition(",")[0] for row in got[-1]] == ["in use", "standby"]
+    assert {"median", "p99", "in_flight"} <= used.keys()
+    assert (used["machine"], other["machine"]) == ("m0", "m1")
+
+
+async def test_the_profile_is_no_old_one(world: World) -> None:
+    """Who reads the profile late gets a new one, though nobody read it before."""
+    robot, edges = await started(world)
+    await until(lambda: robot.group["current"] == url(edges[0].gateway))
+    await trigger(robot, "switch_to/m1")
+    late = await profiles_of(robot)
+    await until(lambda: late and late[-1][1]["message"].startswith("in use"))
+    later = await profiles_of(robot)
+    await until(lambda: later)
+    assert later[0][1]["message"].startswith("in use")
+
+
+async def test_all_members_gone(world: World) -> None:
+    """While no member is there the profile says gone, and what cannot be done is answered at once with the reason."""
+    robot, edges = await started(world)
+    for edge in edges:
+        await edge.gateway.__aexit__(None, None, None)
+    await until(lambda: not robot.group["current"])
+    for name in ("optimise", "switch_to/m1"):
+        answer = await trigger(robot, name)
+        assert not answer["success"] and "no member is there" in answer["message"]
+    paused = await call(robot, "pause", "std_srvs/srv/SetBool", {"data": True})
+    assert paused["message"] == "nobody is in use; who comes first is kept"
+    got = await profiles_of(robot)
+    await until(lambda: got and all(row["message"].startswith("gone") for row in got[-1]))

@@ -87,10 +87,12 @@ def _say_fleet(file: Path, fleet: GatewayFleet, as_json: bool) -> None:
 
 
 def _hints(config: Config) -> list[tuple[str, str]]:
+    from ropeway.gateway.config.group_hints import group_hints
     from ropeway.gateway.config.type_hints import known_types, type_hints
     from ropeway.planning.configured import unfitting
 
-    return type_hints(config, known_types(config)) + [("remotes", sentence) for sentence in unfitting(config)]
+    hints = [*type_hints(config, known_types(config)), *group_hints(config)]
+    return hints + [("remotes", sentence) for sentence in unfitting(config)]
 
 
 def _counted(config: Config) -> str:

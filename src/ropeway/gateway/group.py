@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import RopewayError
+from ropeway.gateway.config.group_hints import remote_hints
 from ropeway.gateway.config.group_model import AnycastConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.policy import policies_of
@@ -52,6 +53,8 @@ class GroupRemote(Remote):
         super().__init__(config, credentials)
         anycast = config.anycast or AnycastConfig.model_validate({})
         title, policies = config.title or shown_address(config), policies_of(config, gateway)
+        for path, hint in remote_hints(config):
+            log.warning("%s: anycast.%s: %s", title, path, hint)
         self.states = GroupStates(policies, self, registry, group=title)
         self.graph = Group(
             name=title,

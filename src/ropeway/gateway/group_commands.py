@@ -18,6 +18,7 @@ _PROFILE_S: Final = 10.0
 """How long somebody waits for a profile: each member has to be sent a request by the robot, and to answer it."""
 
 _LOOK_S: Final = 0.02
+_NOBODY: Final = "no member is there; `ropeway status` says why each is not reached"
 
 
 class GroupCommands:
@@ -39,9 +40,11 @@ class GroupCommands:
     async def optimise(self) -> dict[str, Any]:
         """Ask each member for a moment, use the best, and return the profile.
 
-        Raises ``CallFailed`` where no requests come that members could be asked.
+        Raises ``CallFailed`` where no member is there, or no requests come that members could be asked.
         """
         group = self._group
+        if not group.scheduler.here:
+            raise CallFailed(group.name, _NOBODY)
         group.scheduler.profile(group.now())
         try:
             async with aio.timeout(_PROFILE_S):
@@ -61,7 +64,7 @@ class GroupCommands:
         here = group.scheduler.here
         if name not in here:
             known = [*here, *(machine for machine, address in self._names.items() if address in here)]
-            raise CallFailed(group.name, f"member: {one_of(member, known)}" if known else "no member is there")
+            raise CallFailed(group.name, f"member: {one_of(member, known)}" if known else _NOBODY)
         group.scheduler.switch(name, group.now())
         group.tell()
         return self.report()

@@ -59,9 +59,8 @@ class GroupServices:
             stack.push_async_callback(pause.close)
 
             async def tell() -> None:
-                while True:
-                    if publisher.subscribers != 0:
-                        publisher.publish(self._message())
+                while True:  # also while nobody reads: who comes later gets the last one first
+                    publisher.publish(self._message())
                     await asyncio.sleep(_PERIOD_S)
 
             stack.push_async_callback(Supervised(tell, f"profile on {self._base}").start().close)
@@ -74,7 +73,7 @@ class GroupServices:
     def _members(self) -> dict[str, str]:
         """Return the members by names that ROS takes: those of the policy, else their addresses."""
         report = self._commands.report()
-        named = {address: machine for machine, address in report["machines"].items()}
+        named = _machines(report)
         return {_ros_name(named.get(member, member)): member for member in report["members"]}
 
     def _switch(self, member: str) -> Command:
@@ -96,29 +95,40 @@ class GroupServices:
     async def _pause(self, request: Request) -> bytes:
         paused = bool(self._registry.codec(f"{_SET_BOOL}_Request").decode(request.payload)["data"])
         report = self._commands.pause(paused)
-        answer = {"success": True, "message": f"{report['current']} is {'kept' if paused else 'judged again'}"}
+        current = report["current"]
+        who = _machines(report).get(current, current) or "nobody is in use; who comes first"
+        answer = {"success": True, "message": f"{who} is {'kept' if paused else 'judged again'}"}
         return self._registry.codec(f"{_SET_BOOL}_Response").encode(answer)
 
     def _message(self) -> Sample:
         report = self._commands.report()
         now_ns = time.time_ns()
         sec, nanosec = divmod(now_ns, 1_000_000_000)
-        rows = [_row(name, member, report["current"]) for name, member in report["members"].items()]
+        named, current = _machines(report), report["current"]
+        rows = [_row(name, member, current, named.get(name, "")) for name, member in report["members"].items()]
         message = {"header": {"stamp": {"sec": sec, "nanosec": nanosec}}, "status": rows}
         return Sample(self._profile.encode(message), _PROFILE_TYPE, now_ns, self._origin, SEQ_NONE)
 
 
-def _row(name: str, member: dict[str, Any], current: str) -> dict[str, Any]:
+def _machines(report: dict[str, Any]) -> dict[str, str]:
+    """Return the name that the policy gives each member, by its address."""
+    return {address: machine for machine, address in report["machines"].items()}
+
+
+def _row(name: str, member: dict[str, Any], current: str, machine: str) -> dict[str, Any]:
     """Return a member as a ``DiagnosticStatus``; what is not known has no value."""
+    state = "gone" if not member["here"] else "in use" if name == current else "standby"
     level = _LEVELS[member["standing"]] if member["here"] else _ERROR
     values = {**(member["latency_s"] or {}), "in_flight": member["in_flight"]}
+    if machine:
+        values["machine"] = machine
     if member["fit"] is not None:
         values["goodness_of_variance_fit"] = member["fit"]
         values["classes"] = json.dumps(member["classes"])
     return {
         "level": bytes([level]),
         "name": name,
-        "message": f"{'in use' if name == current else 'standby'}, bound {member['standing']}",
+        "message": f"{state}, bound {member['standing']}",
         "hardware_id": name,
         "values": [{"key": key, "value": str(value)} for key, value in values.items()],
     }

@@ -153,6 +153,8 @@ class GroupStates:
         before, self._faults[address] = self._faults.get(address), faults
         for name, why in faults.items() if faults != before else ():
             log.warning("%s: %s enters state %s, but %s was not set: %s", self._group, who, state, name, why)
+        if before and not faults:
+            log.info("%s: %s has all parameters of state %s now", self._group, who, state)
 
     async def _set(self, address: str, graph: Graph, node: str, values: Mapping[str, ParameterValue]) -> dict[str, str]:
         """Set the parameters of a node; return why which could not be. A node that does not answer is asked again."""

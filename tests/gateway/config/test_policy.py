@@ -147,6 +147,19 @@ def test_machines_by_name() -> None:
             "twice",
         ),
         ({"state_definition": {"robot": []}}, "state_definition.robot", "expected an object"),
+        (
+            {"state_definition": {"inital_policy": {"t": "robot"}}},
+            "state_definition.inital_policy",
+            'did you mean "initial_policy"?',
+        ),
+        (
+            {"state_definition": {"latency_bounds": {"median": 1}}},
+            "state_definition.latency_bounds",
+            'did you mean "latency_bound"?',
+        ),
+        ({"policy": "hegde", "stateless": True}, "policy", 'expected one of one, hedge, all, got "hegde"; did you'),
+        ({"action_latency": "results"}, "action_latency", 'did you mean "result"?'),
+        ({"latency_topic": "not a topic"}, "latency_topic", "expected the name of a topic"),
         ({"pause_s": -1}, "pause_s", "a number from 0"),
     ],
 )
@@ -167,7 +180,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     """A policy file that is missing, malformed or no object is told with its name and place."""
     (tmp_path / "bad.yaml").write_text("a: [")
     (tmp_path / "list.yaml").write_text("- 1")
-    assert "missing.yaml" in problems([group("missing.yaml")], tmp_path)["remotes[0].anycast"]
+    missing = problems([group("missing.yaml")], tmp_path)["remotes[0].anycast"]
+    assert missing == "missing.yaml: cannot be read: No such file or directory"
     assert "bad.yaml: line" in problems([group("bad.yaml")], tmp_path)["remotes[0].anycast"]
     assert "list.yaml: expected an object" in problems([group("list.yaml")], tmp_path)["remotes[0].anycast"]
 

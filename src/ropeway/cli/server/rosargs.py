@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from ropeway.errors import ConfigError
+from ropeway.errors import TOP_LEVEL, ConfigError
 from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.yaml_text import read_yaml
 
@@ -120,12 +120,12 @@ def _file(said: RosArgs, path: str) -> None:
     sections = list(_sections(read_file(Path(path)), "", path))
     if not sections:
         text = f"no ros__parameters stand in it; expected {said.full_name}: {{ros__parameters: {{port: 9091}}}}"
-        raise ConfigError([("(top level)", text)], path)
+        raise ConfigError([(TOP_LEVEL, text)], path)
     ours = [parameters for pattern, parameters in sections if _names(pattern, said)]
     if not ours:
         named = ", ".join(dict.fromkeys(pattern for pattern, _ in sections))
         text = f"it has parameters of {named}, and none of {said.full_name}; /** names every node"
-        raise ConfigError([("(top level)", text)], path)
+        raise ConfigError([(TOP_LEVEL, text)], path)
     for parameters in ours:
         said.parameters.update(_flat(parameters, ""))
 

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
+from ropeway.errors import TOP_LEVEL
 from ropeway.gateway.config.address import (
     default_graph,
     is_iort,
@@ -92,7 +93,7 @@ def _full_form(obj: object) -> tuple[Mapping[str, Any], Problem | None]:
         return {"remotes": obj}, None
     if not isinstance(obj, Mapping):
         what = "the file is empty; " if obj is None else ""
-        return {}, ("(top level)", f"{what}expected a list of remotes, or an object with gateway and remotes")
+        return {}, (TOP_LEVEL, f"{what}expected a list of remotes, or an object with gateway and remotes")
     if "gateways" in obj:
         return {}, ("gateways", "several gateways are described here; choose one of them with --as")
     if not obj.keys() & {"gateway", "remotes"}:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from ropeway.errors import ConfigError
+from ropeway.errors import TOP_LEVEL, ConfigError
 
 __all__ = ["read_file", "read_json"]
-
-_TOP: Final = "(top level)"
 
 
 def read_file(path: str | Path) -> Any:
@@ -22,9 +20,11 @@ def read_file(path: str | Path) -> Any:
     try:
         text = file.read_bytes().decode("utf-8-sig")
     except OSError as error:
-        raise ConfigError([(_TOP, f"cannot be read: {error.strerror or error}")], str(path)) from error
+        raise ConfigError([(TOP_LEVEL, f"cannot be read: {error.strerror or error}")], str(path)) from error
     except UnicodeDecodeError as error:
-        raise ConfigError([(_TOP, f"is not UTF-8 text: byte {error.start} is {error.reason}")], str(path)) from error
+        raise ConfigError(
+            [(TOP_LEVEL, f"is not UTF-8 text: byte {error.start} is {error.reason}")], str(path)
+        ) from error
     suffix = file.suffix.lower()
     if suffix == ".json" or (suffix not in (".yaml", ".yml") and text.lstrip()[:1] in ("{", "[")):
         return read_json(text, str(path))
@@ -78,9 +78,9 @@ def read_json(text: str, source: str = "") -> Any:
         where = f"line {error.lineno} column {error.colno}"
         raise ConfigError([(where, f"not JSON: {error.msg[:1].lower()}{error.msg[1:]}")], source) from error
     except ValueError as error:
-        raise ConfigError([(_TOP, f"not JSON: {error}")], source) from error
+        raise ConfigError([(TOP_LEVEL, f"not JSON: {error}")], source) from error
     except RecursionError as error:
-        raise ConfigError([(_TOP, "nested too deeply")], source) from error
+        raise ConfigError([(TOP_LEVEL, "nested too deeply")], source) from error
     if problems:
         raise ConfigError(problems, source)
     return value

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
-from ropeway.errors import ConfigError
+from ropeway.errors import TOP_LEVEL, ConfigError
 from ropeway.gateway.config.address import is_loopback
 from ropeway.gateway.config.config import Config, Route, parse
 from ropeway.gateway.config.document import read_file
@@ -23,7 +23,6 @@ __all__ = ["KEY", "FleetFinding", "GatewayFleet", "is_fleet", "load_one", "read_
 
 KEY: Final = "gateways"
 _HOST: Final = "host"
-_TOP: Final = "(top level)"
 _OUTWARD: Final[Mapping[str, str]] = {"subscribe": "publish", "reserve-service": "expose-service"} | {
     "reserve-action": "expose-action"
 }
@@ -176,7 +175,7 @@ def select(document: Any, name: str) -> Any:
     """
     if not is_fleet(document):
         if name:
-            raise ConfigError([(_TOP, f'there is no "{KEY}" in this document; leave --as {name} out')])
+            raise ConfigError([(TOP_LEVEL, f'there is no "{KEY}" in this document; leave --as {name} out')])
         return document
     members = _members(document)
     if not name:

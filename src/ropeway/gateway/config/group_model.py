@@ -75,6 +75,15 @@ def _names(value: dict[str, str]) -> dict[str, str]:
     return value
 
 
+def _topic(value: str | None) -> str | None:
+    if value is not None:
+        try:
+            resolve_name(value)
+        except InvalidName as error:
+            raise ValueError(f"expected the name of a topic: {error.reason}") from None
+    return value
+
+
 Addresses = Annotated[
     tuple[str, ...],
     PlainValidator(_addresses),
@@ -127,7 +136,7 @@ class AnycastConfig(Model):
     members: Many[str] | None = Field(
         None, description="overlay: patterns of the names of the members that may be used; default: all"
     )
-    latency_topic: str | None = Field(
+    latency_topic: Annotated[str | None, AfterValidator(_topic)] = Field(
         None,
         description="a topic (std_msgs/Float64) of the local graph that tells latencies of the member in use, in "
         "seconds",

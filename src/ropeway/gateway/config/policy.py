@@ -50,7 +50,7 @@ def with_policy_files(full: Mapping[str, Any], directory: Path) -> tuple[Mapping
         try:
             found = read_file(directory / Path(name).expanduser())
         except ConfigError as error:
-            problems.extend((path, f"{name}: {where}: {text}") for where, text in error.problems)
+            problems.extend((path, str(ConfigError([problem], name))) for problem in error.problems)
             found = None
         if found is not None and not isinstance(found, Mapping):
             problems.append((path, f"{name}: expected an object with state_definition, latency_bound and the like"))

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Wi
 
 from ropeway.errors import InvalidName
 from ropeway.gateway.config.fields import Model, below
-from ropeway.gateway.config.suggest import one_of, show
+from ropeway.gateway.config.suggest import did_you_mean, one_of, show
 from ropeway.graph.base import resolve_name
 from ropeway.graph.parameters import ParameterValue, parse_value
 
@@ -36,11 +36,20 @@ def lift(value: object) -> object:
     states = value.get("state_definition") if isinstance(value, Mapping) else None
     if not isinstance(value, Mapping) or not isinstance(states, Mapping):
         return value
+    for key, state in states.items():
+        near = "" if key in LIFTED or _is_state(state) else did_you_mean(key, LIFTED)
+        if near:
+            raise below(("state_definition", str(key)), f"neither a state nor a key that may stand beside them{near}")
     lifted = {key: states[key] for key in LIFTED if key in states}
     for key in lifted:
         if key in value:
             raise below((key,), f"stands under state_definition, too; keep one of the two {key}")
     return {**value, "state_definition": {k: v for k, v in states.items() if k not in lifted}, **lifted}
+
+
+def _is_state(value: object) -> bool:
+    """Return whether a value is empty, or has a key of a state, so that a mistake in it is one of a state."""
+    return not value or (isinstance(value, Mapping) and not value.keys().isdisjoint(StateConfig.model_fields))
 
 
 def _pairs(value: object, what: str) -> _Pairs:

@@ -10,7 +10,8 @@ from typing import Final, get_args, get_origin
 from pydantic import AliasChoices, BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ropeway.gateway.config.suggest import show, unknown_key
+from ropeway.errors import TOP_LEVEL
+from ropeway.gateway.config.suggest import one_of, show, unknown_key
 
 __all__ = ["inner_model", "json_path", "keys_of", "shape_problems", "spellings"]
 
@@ -25,6 +26,7 @@ _EXPECTED: Final = {
     "dict_type": "an object",
     "recursion_loop": "a value that does not contain itself",
 }
+_QUOTED: Final = re.compile(r"'([^']*)'")  # the words of a Literal, as pydantic lists them
 _BOUNDS: Final = {
     "greater_than": ("a number above", "gt"),
     "greater_than_equal": ("a number from", "ge"),
@@ -47,7 +49,7 @@ def json_path(parts: Iterable[str | int]) -> str:
             out += f".{part}" if out else part
         else:
             out += f"[{json.dumps(part)}]"
-    return out or "(top level)"
+    return out or TOP_LEVEL
 
 
 def _say(fault: ErrorDetails, root: type[BaseModel]) -> tuple[str, str]:
@@ -67,7 +69,10 @@ def _say(fault: ErrorDetails, root: type[BaseModel]) -> tuple[str, str]:
     if kind in _BOUNDS:
         words, limit = _BOUNDS[kind]
         return json_path(loc), f"expected {words} {context[limit]:g}, got {show(value)}"
-    return json_path(loc), f"expected {_EXPECTED.get(kind) or fault['msg']}, got {show(value)}"
+    if kind == "literal_error":
+        return json_path(loc), one_of(value, _QUOTED.findall(context["expected"]))
+    expected = _EXPECTED.get(kind) or fault["msg"].removeprefix("Input should be ")
+    return json_path(loc), f"expected {expected}, got {show(value)}"
 
 
 def _unknown(loc: tuple[str | int, ...], root: type[BaseModel]) -> str:

@@ -10,11 +10,9 @@ from typing import Any, Final
 
 import yaml
 
-from ropeway.errors import ConfigError
+from ropeway.errors import TOP_LEVEL, ConfigError
 
 __all__ = ["read_yaml"]
-
-_TOP: Final = "(top level)"
 
 
 class _Loader(yaml.SafeLoader):
@@ -69,11 +67,11 @@ def read_yaml(text: str, source: str = "") -> Any:
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a SafeLoader
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        where = f"line {mark.line + 1} column {mark.column + 1}" if mark else _TOP
+        where = f"line {mark.line + 1} column {mark.column + 1}" if mark else TOP_LEVEL
         raise ConfigError([(where, f"not YAML: {error.problem or error.context}")], source) from error
     except yaml.YAMLError as error:
-        raise ConfigError([(_TOP, f"not YAML: {' '.join(str(error).split())}")], source) from error
+        raise ConfigError([(TOP_LEVEL, f"not YAML: {' '.join(str(error).split())}")], source) from error
     except ValueError as error:
-        raise ConfigError([(_TOP, f"not YAML: {error}")], source) from error
+        raise ConfigError([(TOP_LEVEL, f"not YAML: {error}")], source) from error
     except RecursionError as error:
-        raise ConfigError([(_TOP, "nested too deeply")], source) from error
+        raise ConfigError([(TOP_LEVEL, "nested too deeply")], source) from error
