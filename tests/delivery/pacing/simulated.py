@@ -285,7 +285,7 @@ def read(tcp: Tcp, model: LinkModel) -> None:
         tcp.start_again()
     if isinstance(tcp, Kernel):
         pace = model.wanted_bps
-        tcp.rate = None if pace is None or model.starting else 1.25 * pace
+        tcp.rate = None if pace is None or model.starting else model.spread_gain * pace
 
 
 def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:

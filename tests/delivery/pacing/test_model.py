@@ -86,6 +86,15 @@ def test_messages_that_fit_the_window(mbit: float) -> None:
     assert tcp.delivered >= 0.55 * 6.0 * path.rate
 
 
+@pytest.mark.parametrize("mbit", [2, 5])
+def test_a_slow_link(mbit: float) -> None:
+    """On a slow link that is far, full and ours fewer than two segments wait."""
+    path = Path(mbit * _MBIT, 0.035)
+    outcome = simulate(path, seconds=14, skip_s=8)
+    assert outcome.rate >= 0.93 * path.rate * _GOODPUT, outcome
+    assert outcome.queue_s <= 2 * SEGMENT_BYTES / path.rate, outcome
+
+
 def test_a_shallow_buffer() -> None:
     """A link that holds twenty packets is full all the same."""
     check(Path(20 * _MBIT, 0.01, buffer=20))

@@ -15,7 +15,6 @@ _WATCHED_BYTES: Final = 16 * 1024  # so much on the way shows the pace of the li
 _SHORTEST_WATCH_S: Final = 0.001
 _LONGEST_WATCH_S: Final = 0.01
 _LOOKS_PER_ROUND_TRIP: Final = 8
-_PACING_GAIN: Final = 1.25  # more than the pace, so that a faster link shows
 _PACING_ROUND_TRIP_S: Final = 0.002  # nearer, bursts cost no other topic anything
 _PACING_LIMIT: Final = 50e6  # bytes per second: faster links swallow bursts
 
@@ -124,7 +123,7 @@ class Flow:
         pace = model.wanted_bps
         if pace is not None:
             spread = not model.starting and pace < _PACING_LIMIT and (model.base_rtt_s or 0.0) >= _PACING_ROUND_TRIP_S
-            tcp.pace(_PACING_GAIN * pace if spread else None)
+            tcp.pace(model.spread_gain * pace if spread else None)
         if model.losing and not self._bears_losses:
             self._bears_losses = True
             tcp.bear_losses()

@@ -34,10 +34,15 @@ _MOST_WINDOW_BYTES: Final = 64 << 20
 _LEAST_QUEUE_S: Final = 0.002  # timers have a resolution of 1 ms
 _MOST_QUEUE_S: Final = 0.005
 _QUEUE_SHARE: Final = 0.05  # of the round trip
+_KEPT_SEGMENTS: Final = 0.75  # keep a slow link busy, as the kernel spreads them
+_CLEAN_S: Final = 2.0  # others who fill a link lose packets, theirs and ours
+_FAR_SEGMENTS: Final = 4  # are on the way at once at least, for the kernel to spread them
 _MOST_QUEUE_SHARE: Final = 0.25  # where round trips vary
 _FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as much each time it still does not
 _LEAP: Final = 2.0  # where the pace says that there is room, and at most
 _LEAST_LEAP: Final = 1.25
+_SPREAD_GAIN: Final = 1.25
+_CAUTIOUS_STEPS: Final = 3  # of the window's growth; a slow link that has no queue after them has become faster
 _LONG_ROUND_TRIP_S: Final = 0.005  # below, the window is what processors need
 _NEAR_S: Final = 0.001
 _BASE_MEMORY_S: Final = 5.0  # the shortest round trip is that of five to ten seconds
@@ -117,6 +122,8 @@ class LinkModel:
         self._bounds = RoundTripBounds()
         self._others = Competition(precise=not traits.slack_s)
         self._lossy_rounds = 0
+        self._lost_s: float | None = None
+        self._clean_s = 0.0  # since a packet was lost, or since the first reading
         self._retransmissions = 0
 
     @property
@@ -141,6 +148,26 @@ class LinkModel:
         return max(pace, self.window_bytes / base_s)
 
     @property
+    def spread_gain(self) -> float:
+        """How much faster than ``wanted_bps`` TCP is to send, so that a faster link shows.
+
+        On a slow link not at all, unless its window keeps growing: what is ahead waits here then, and not before a packet
+        of another connection.
+        """
+        return 1.0 if self._slow and self._quiet <= _CAUTIOUS_STEPS else _SPREAD_GAIN
+
+    @property
+    def _slow(self) -> bool:
+        """Whether a segment is a queue on a far link that we have to ourselves."""
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s
+        if pace is None or base_s is None or self._traits.slack_s or self._others.competing or self._others.tested:
+            return False
+        if self._clean_s < _CLEAN_S or self.queue_s >= _MOST_QUEUE_SHARE * base_s:
+            return False
+        segment_s = self._segment_bytes / pace
+        return segment_s >= _LEAST_QUEUE_S and base_s >= _FAR_SEGMENTS * segment_s
+
+    @property
     def unsent_limit_bytes(self) -> int:
         """The number of bytes that may wait in the kernel."""
         least = max(_LEAST_UNSENT_BYTES, self._least_bytes)
@@ -153,6 +180,8 @@ class LinkModel:
     def target_queue_s(self) -> float:
         """The queue that keeps the link busy between two looks."""
         pace, base_s = self.pace.bytes_per_s, self.base_rtt_s or 0.0
+        if pace is not None and self._slow:
+            return _KEPT_SEGMENTS * self._segment_bytes / pace
         target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
         if pace is not None:  # segments go and are told of in pairs
             target_s = max(target_s, max(self._traits.part_bytes, self._segment_bytes) / pace)
@@ -272,6 +301,9 @@ class LinkModel:
     def _end_round(self, ended: Round, reading: LinkReading) -> None:
         lost = reading.retransmissions > self._retransmissions
         self._retransmissions = reading.retransmissions
+        if lost or self._lost_s is None:
+            self._lost_s = reading.now_s
+        self._clean_s = reading.now_s - self._lost_s
         if lost:
             self._others.lost()
         base = self.base_rtt_s
