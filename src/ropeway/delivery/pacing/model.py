@@ -151,8 +151,8 @@ class LinkModel:
     def spread_gain(self) -> float:
         """How much faster than ``wanted_bps`` TCP is to send, so that a faster link shows.
 
-        On a slow link not at all, unless its window keeps growing: what is ahead waits here then, and not before a packet
-        of another connection.
+        On a slow link not at all, unless its window keeps growing: what is ahead waits here then, and not before a
+        packet of another connection.
         """
         return 1.0 if self._slow and self._quiet <= _CAUTIOUS_STEPS else _SPREAD_GAIN
 
