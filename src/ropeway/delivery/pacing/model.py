@@ -149,7 +149,7 @@ class LinkModel:
 
     @property
     def spread_gain(self) -> float:
-        """How much faster than ``wanted_bps`` TCP is to send, so that a faster link shows.
+        """The factor by which TCP is to send faster than ``wanted_bps``, so that a faster link shows.
 
         On a slow link not at all, unless its window keeps growing: what is ahead waits here then, and not before a
         packet of another connection.
