@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import os
+import signal
 import time
 
 import pytest
@@ -18,7 +19,7 @@ from tests.support.threads import new_threads
 from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
-from .helpers import process
+from .helpers import process, stop
 
 READER = """
     import hashlib
@@ -108,7 +109,7 @@ async def test_keep_all_never_blocks(join: Join, domain: int) -> None:
     with process(READER, domain, "/t", 10**9, 10) as reader:
         assert reader.stdout is not None
         await until(lambda: publisher.subscribers == 1)
-        reader.send_signal(19)  # SIGSTOP
+        stop(reader)
         big = sample("x" * 1_000_000)
         for _ in range(60):
             with held_up() as seconds:
@@ -119,9 +120,7 @@ async def test_keep_all_never_blocks(join: Join, domain: int) -> None:
 
 async def test_close_beside_a_stopped_reader(join: Join, domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """While publishers wait a moment for a reader that has stopped, the graph goes on; all wait at the same time."""
-    longer = (
-        "<CycloneDDS><Domain><Internal><WriterLingerDuration>4s</WriterLingerDuration></Internal></Domain></CycloneDDS>"
-    )
+    longer = "<CycloneDDS><Domain><Internal><WriterLingerDuration>30s</WriterLingerDuration></Internal></Domain></CycloneDDS>"
     monkeypatch.setenv("CYCLONEDDS_URI", f"{os.environ['CYCLONEDDS_URI']},{longer}")
     started = new_threads()
 
@@ -135,7 +134,7 @@ async def test_close_beside_a_stopped_reader(join: Join, domain: int, monkeypatc
     alive = await other.create_publisher("/alive", STRING)
     with process(READER, domain, "/t", 10**9, 10) as reader:
         await until(lambda: all(p.subscribers == 1 for p in publishers) and alive.subscribers == 1)
-        reader.send_signal(19)  # SIGSTOP
+        stop(reader)
         for publisher in publishers:
             publisher.publish(sample("x"))
         closing = [asyncio.create_task(publishers.pop().close())]
@@ -145,4 +144,5 @@ async def test_close_beside_a_stopped_reader(join: Join, domain: int, monkeypatc
         assert waiting() == 1
         closing.append(asyncio.create_task(graph.close()))
         await until(lambda: waiting() >= 5)  # what tells of the node may have to wait, too
+        reader.send_signal(signal.SIGCONT)
         await asyncio.gather(*closing)
