@@ -120,7 +120,8 @@ async def test_keep_all_never_blocks(join: Join, domain: int) -> None:
 
 async def test_close_beside_a_stopped_reader(join: Join, domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """While publishers wait a moment for a reader that has stopped, the graph goes on; all wait at the same time."""
-    longer = "<CycloneDDS><Domain><Internal><WriterLingerDuration>30s</WriterLingerDuration></Internal></Domain></CycloneDDS>"
+    linger = "<WriterLingerDuration>30s</WriterLingerDuration>"
+    longer = f"<CycloneDDS><Domain><Internal>{linger}</Internal></Domain></CycloneDDS>"
     monkeypatch.setenv("CYCLONEDDS_URI", f"{os.environ['CYCLONEDDS_URI']},{longer}")
     started = new_threads()
 

@@ -104,26 +104,28 @@ class _Editing:
             raise ControlRefused(422, f"this is not JSON: {error}") from None
 
     async def _plan(self) -> None:
-        await self._ask("POST", "/v1/config/plan", "What would be done:")
+        planned = await self._ask("POST", "/v1/config/plan")
+        if planned:
+            self._said.set_text(f"What would be done:\n{planned}")
 
     async def _apply(self) -> None:
-        if await self._ask("PUT", "/v1/config", "This was done:"):
-            said = self._said.text
-            await self._load()
-            self._said.set_text(said)
+        done = await self._ask("PUT", "/v1/config")
+        if done:
+            await self._load()  # before anybody hears that it is done, and writes on
+            self._said.set_text(f"This was done:\n{done}")
             await self._show_history()
 
-    async def _ask(self, method: str, path: str, heading: str) -> bool:
+    async def _ask(self, method: str, path: str) -> str:
+        """Return what the gateway would do or has done, ``""`` where it refused, which is said then."""
         if self._editor is None or not self._page.viewer.active:
-            return False
+            return ""
         try:
             body = {"config": await self._written()}
             if method == "PUT":
                 body["note"] = self._note.value
             headers = {"if-match": f'"{self._etag}"'} if method == "PUT" else {}
             answer = await self._watch.client.request(method, path, body=body, headers=headers)
-            self._said.set_text(f"{heading}\n{_plan_text(read(PlanAnswer, answer))}")
-            return True
+            return _plan_text(read(PlanAnswer, answer))
         except ConfigError as error:
             self._said.set_text("\n".join(f"{path}: {text}" for path, text in error.problems))
         except ControlRefused as error:
@@ -132,7 +134,7 @@ class _Editing:
             self._said.set_text(f"{error}\n{steps}".strip())
         except (RopewayError, TimeoutError) as error:
             self._said.set_text(describe(error))
-        return False
+        return ""
 
     async def _roll_back(self, event: Any) -> None:
         number = event.args
@@ -141,8 +143,8 @@ class _Editing:
         body = {"number": number}
         done = await self._page.do(lambda: self._watch.client.post("/v1/config/rollback", body), "went back")
         if done is not None:
-            self._said.set_text(f"This was done:\n{_plan_text(read(PlanAnswer, done))}")
             await self._load()
+            self._said.set_text(f"This was done:\n{_plan_text(read(PlanAnswer, done))}")
             await self._show_history()
 
     async def _show_history(self) -> None:
