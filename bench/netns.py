@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Final
 
 from bench.shares import Share, asked
 
-__all__ = ["Network", "Process", "delayed", "network"]
+__all__ = ["ROS_ENVIRONMENT", "Network", "Process", "delayed", "network", "ros_bridge"]
+
+ROS_ENVIRONMENT: Final = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
 
 
 def _run(command: str) -> None:
@@ -82,6 +86,12 @@ class Process:
         import psutil
 
         return psutil.Process(self.pid).memory_info().rss
+
+
+def ros_bridge(command: str, domain: int, port: int) -> Process:
+    """Start another bridge of ROS 2; its command may name ``{domain}`` and ``{port}``."""
+    program, *words = shlex.split(command.format(domain=domain, port=port))
+    return Process(None, *words, quiet=True, program=program, **ROS_ENVIRONMENT)
 
 
 @dataclass

@@ -20,6 +20,7 @@ from ropeway.networks.overlay.announcement import NoteKey
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.fleet import Fleet
 from ropeway.networks.overlay.names import Metadata, global_name
+from ropeway.networks.overlay.node import new_endpoint
 from ropeway.networks.overlay.rib import Rib
 from ropeway.qos import QoS
 
@@ -38,25 +39,28 @@ def took_us(count: int, work: Callable[[], object]) -> float:
     return 1e6 * (time.process_time() - began) / count
 
 
+def advertisement(secret: bytes, gateway: bytes, name: str) -> Advertisement:
+    """Return what tells of a publisher."""
+    about, now_ns = Metadata(), time.time_ns()
+    return Advertisement(
+        kind="publisher",
+        global_name=global_name(secret, "topic", name, TYPE, about),
+        endpoint=new_endpoint(),
+        gateway=gateway,
+        name=name,
+        type=TYPE,
+        qos=QoS(),
+        encoding="auto",
+        metadata=about,
+        since_ns=now_ns,
+        expires_ns=now_ns + YEAR_NS,
+    )
+
+
 def advertisements(identity: Identity, secret: bytes) -> None:
     """Print what an advertisement costs who makes it and who reads it."""
-    gateway, key, about, now = os.urandom(16), advert_key(secret), Metadata(), time.time_ns()
-    adverts = [
-        Advertisement(
-            kind="publisher",
-            global_name=global_name(secret, "topic", f"/t{number}", TYPE, about),
-            endpoint=os.urandom(16),
-            gateway=gateway,
-            name=f"/t{number}",
-            type=TYPE,
-            qos=QoS(),
-            encoding="auto",
-            metadata=about,
-            since_ns=now,
-            expires_ns=now + YEAR_NS,
-        )
-        for number in range(NAMES)
-    ]
+    gateway, key = os.urandom(16), advert_key(secret)
+    adverts = [advertisement(secret, gateway, f"/t{number}") for number in range(NAMES)]
     made_us = took_us(NAMES, lambda: [make_advert(advert, identity, key) for advert in adverts])
     raws = [make_advert(advert, identity, key) for advert in adverts]
     rib = Rib(secret, refused=lambda who, error: None)

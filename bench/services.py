@@ -20,7 +20,6 @@ import asyncio
 import importlib.util
 import json
 import os
-import shlex
 import statistics
 import struct
 import sys
@@ -35,7 +34,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 
 from bench.images import IMAGE
-from bench.netns import Process
+from bench.netns import ROS_ENVIRONMENT, Process, ros_bridge
 from bench.paper import config
 from bench.report import table
 from ropeway import aio
@@ -57,7 +56,6 @@ _WARM_S: Final = 2.5  # requests to a server that was matched just now are repea
 _WAIT_S: Final = 20.0
 _STALL_S: Final = 2.0  # a node of ROS 2 loses what its reader has no room for
 _IMAGE_HZ: Final = 60
-_ROS_ENVIRONMENT: Final = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
 
 
 # ── the ends ─────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -304,8 +302,7 @@ class Subject(NamedTuple):
             return
         if self.near:
             for command, domain in ((self.near, DOMAIN_NEAR), (self.far, DOMAIN_FAR)):
-                program, *words = shlex.split(command.format(domain=domain, port=PORT))
-                yield Process(None, *words, program=program, **_ROS_ENVIRONMENT)
+                yield ros_bridge(command, domain, PORT)
             return
         address = f"ws://127.0.0.1:{PORT}"
         reserves = self.operation == "reserve"
@@ -342,7 +339,7 @@ def measure(subject: Subject, args: argparse.Namespace) -> Figures:
     with tempfile.TemporaryDirectory() as directory, ExitStack() as stack:
 
         def start(*words: str, domain: int) -> Process:
-            process = Process(None, "-m", *words, **_ROS_ENVIRONMENT, ROS_DOMAIN_ID=str(domain))
+            process = Process(None, "-m", *words, **ROS_ENVIRONMENT, ROS_DOMAIN_ID=str(domain))
             stack.callback(process.stop)
             return process
 

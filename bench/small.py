@@ -18,7 +18,6 @@ import importlib.util
 import json
 import os
 import select
-import shlex
 import statistics
 import struct
 import sys
@@ -32,7 +31,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from bench.netns import Process
+from bench.netns import ROS_ENVIRONMENT, Process, ros_bridge
 from bench.paper import config
 from bench.report import table
 from ropeway import aio
@@ -51,7 +50,6 @@ _PROBE_S: Final = 0.05  # until a probe arrives, the ways have to be found
 _BEGIN_S: Final = 0.3  # of a run is not counted
 _LINGER_S: Final = 1.0  # what is under way arrives
 _LEAST_CPU_S: Final = 0.2e-6  # per message; of a thread that does less nothing is printed
-_ROS_ENVIRONMENT: Final = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
 
 Usage = dict[str, tuple[float, float]]
 """Seconds of a processor, and how often it waited, by the name of a thread."""
@@ -190,8 +188,7 @@ class Subject(NamedTuple):
             return
         if self.near:
             for command, domain in ((self.near, DOMAIN_NEAR), (self.far, DOMAIN_FAR)):
-                program, *words = shlex.split(command.format(domain=domain, port=PORT))
-                yield Process(None, *words, program=program, **_ROS_ENVIRONMENT)
+                yield ros_bridge(command, domain, PORT)
             return
         address = f"ws://127.0.0.1:{PORT}"
         route = {"address": address, "publish": [{"name": TOPIC, "type": TYPE}]}
@@ -243,7 +240,7 @@ def measure(subject: Subject, hz: float, args: argparse.Namespace) -> Figures:
             options = {"domain": domain, "hz": hz, "seconds": args.seconds, "depth": args.depth, "size": args.size}
             arguments = [f"--{name}={value}" for name, value in options.items()]
             words = ("-m", "bench.small", role, f"--ends={args.ends}", *arguments)
-            process = Process(None, *words, **_ROS_ENVIRONMENT, ROS_DOMAIN_ID=str(domain))
+            process = Process(None, *words, **ROS_ENVIRONMENT, ROS_DOMAIN_ID=str(domain))
             stack.callback(process.stop)
             return process
 

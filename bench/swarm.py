@@ -25,15 +25,12 @@ from typing import Any, Final
 import uvloop
 
 from bench.report import table
+from bench.scale import advertisement
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.crypto.identity import Identity, write_private
 from ropeway.networks.overlay.fleet import Fleet
-from ropeway.networks.overlay.names import Metadata, global_name
-from ropeway.networks.overlay.node import OverlayNode, new_endpoint
-from ropeway.qos import QoS
+from ropeway.networks.overlay.node import OverlayNode
 
-TYPE: Final = "std_msgs/msg/String"
-YEAR_NS: Final = 365 * 86_400 * 10**9
 IDLE_S: Final = 10.0
 AFTER_KILL_S: Final = 12.0  # longer than the lease of a member
 LOOK_S: Final = 0.5
@@ -59,22 +56,8 @@ class Member:
 
     def advertise(self, name: str) -> None:
         """Advertise a publisher."""
-        node, about, now_ns = self.node, Metadata(), time.time_ns()
-        node.advertise(
-            Advertisement(
-                kind="publisher",
-                global_name=global_name(node.secret, "topic", name, TYPE, about),
-                endpoint=new_endpoint(),
-                gateway=node.gateway,
-                name=name,
-                type=TYPE,
-                qos=QoS(),
-                encoding="auto",
-                metadata=about,
-                since_ns=now_ns,
-                expires_ns=now_ns + YEAR_NS,
-            )
-        )
+        node = self.node
+        node.advertise(advertisement(node.secret, node.gateway, name))
 
 
 def say(**figures: Any) -> None:

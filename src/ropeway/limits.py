@@ -641,7 +641,7 @@ RECORDING_UNPACKED_BYTES: Final = 64 << 30
 kilobytes of a hostile one would unpack to as much as the disk has."""
 
 RECORDING_DISK_BYTES: Final = 1 << 30
-"""What a disk keeps free when such files are unpacked on it: other programs need it, too."""
+"""Left free on a disk on which such files are unpacked: other programs need it, too."""
 
 RECORDED_CLIP_S: Final = 600.0
 """The longest clip: a condition that flickers, or somebody who triggers all the time, begins another then."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from functools import cached_property
 
-from ropeway.graph.base import SEQ_NONE, Publisher, Sample
+from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.parts import numbered
-from ropeway.group.chooser import Chooser
-from ropeway.group.exchange import Exchange
 from ropeway.group.recent import Recent
-from ropeway.group.stamp import StampReader
 from ropeway.group.topics import GroupPublisher
-from ropeway.qos import QoS
 
 __all__ = ["LinkPublisher"]
 
@@ -22,18 +18,10 @@ class LinkPublisher(GroupPublisher):
     The far side drops what it has: a message has the same number on all links.
     """
 
-    def __init__(
-        self,
-        group: Chooser,
-        topic: str,
-        type: str,
-        qos: QoS,
-        parts: Mapping[str, Publisher],
-        exchange: Exchange | None,
-        stamp: StampReader | None,
-    ) -> None:
-        super().__init__(group, topic, type, qos, parts, exchange, stamp)
-        self._recent: Recent[Sample] = Recent()
+    @cached_property
+    def _recent(self) -> Recent[Sample]:
+        """The messages that were published last."""
+        return Recent()
 
     def publish(self, sample: Sample) -> None:
         """See ``GroupPublisher.publish``."""

@@ -16,7 +16,7 @@ from ropeway.recording.mcap_writer import McapWriter
 __all__ = ["CHUNK_S", "McapFiles"]
 
 CHUNK_S: Final = 2.0
-"""What came so long ago is in the file, so that a process that is killed loses no more, however little comes."""
+"""Seconds after which what came is in the file, so that a process that is killed loses no more, even of little."""
 
 _SUFFIX: Final = ".mcap"
 

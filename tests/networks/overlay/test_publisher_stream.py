@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from ropeway.networks.overlay.feed import Feed, catch_up
+from ropeway.networks.overlay.graph import OverlayGraph
+from ropeway.networks.overlay.graph.publisher import OverlayPublisher
 from ropeway.networks.overlay.packet_mark import Mark, by_way
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.qos import QoS
@@ -16,17 +18,33 @@ from tests.support.messages import sample as text
 from tests.support.until import until
 
 
-async def test_a_second_copy_is_no_attack(site: Site) -> None:
-    """A packet is delivered once; by another way of its sender, or of ours, it is a copy, and everything else a replay.
+class Sides(NamedTuple):
+    """Two members: the publisher of one, and what the other gets of it, by which feed."""
 
-    Ways that its sender does not have count as the first.
-    """
+    near: OverlayGraph
+    far: OverlayGraph
+    publisher: OverlayPublisher
+    inbox: Inbox
+    feed: Feed
+
+
+async def joined(site: Site) -> Sides:
+    """Return two members of which one reads from the other."""
     near, far = await site.join(), await site.join()
     inbox = Inbox()
     await far.create_subscription("/a", STRING, QoS(depth=10), inbox)
     publisher = await near.create_publisher("/a", STRING, QoS(depth=10))
     await until(lambda: publisher.subscribers)
     (feed,) = far.node.feeds.values()
+    return Sides(near, far, publisher, inbox, feed)
+
+
+async def test_a_second_copy_is_no_attack(site: Site) -> None:
+    """A packet is delivered once; by another way of its sender, or of ours, it is a copy, and everything else a replay.
+
+    Ways that its sender does not have count as the first.
+    """
+    near, far, publisher, inbox, feed = await joined(site)
     feed._ways = lambda _: 2
     came: list[tuple[str, Any, Any]] = []
     take = Feed.came.__get__(feed)
@@ -53,12 +71,7 @@ async def test_a_second_copy_is_no_attack(site: Site) -> None:
 
 async def test_parts_by_several_ways(site: Site) -> None:
     """The parts of a packet are put together way by way, so that those of a copy do not end the packet."""
-    near, far = await site.join(), await site.join()
-    inbox = Inbox()
-    await far.create_subscription("/a", STRING, QoS(depth=10), inbox)
-    publisher = await near.create_publisher("/a", STRING, QoS(depth=10))
-    await until(lambda: publisher.subscribers)
-    (feed,) = far.node.feeds.values()
+    _, _, publisher, _, feed = await joined(site)
     packet = publisher.source.seal([publisher.packing.pack(publisher.add(text("x" * 1000)), False)])
     (stream,) = feed.streams.values()
     half = len(packet) // 2
@@ -70,12 +83,7 @@ async def test_parts_by_several_ways(site: Site) -> None:
 
 async def test_what_may_be_lost(site: Site) -> None:
     """What may have been lost is asked for before a gap shows; what was had is not delivered twice."""
-    near, far = await site.join(), await site.join()
-    inbox = Inbox()
-    await far.create_subscription("/a", STRING, QoS(depth=10), inbox)
-    publisher = await near.create_publisher("/a", STRING, QoS(depth=10))
-    await until(lambda: publisher.subscribers)
-    (feed,) = far.node.feeds.values()
+    _, far, publisher, inbox, feed = await joined(site)
     publisher.publish(text("0"))
     await inbox.wait(1)
     for number in (1, 2):

@@ -176,9 +176,8 @@ class ComposedActionServer:
         goal.feedback = lambda feedback: self._send_feedback(id, feedback)
         for feedback in early:
             goal.feedback(feedback)
-        tracked.work = background(
-            self._carry_out(tracked), f"goal of {self.action}"
-        )  # tells the state after the answer
+        # The task begins once the answer is on its way, and tells the state then.
+        tracked.work = background(self._carry_out(tracked), f"goal of {self.action}")
         return self._parts.accepted(True, stamp_ns)
 
     async def _accepts(self, goal: ServerGoal) -> bool:

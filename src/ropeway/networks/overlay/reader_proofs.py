@@ -43,8 +43,10 @@ class _Reader(NamedTuple):
 
 
 class ReaderProofs:
-    """Tracks who reads from one publisher. A reader is its certificate's fingerprint and its gateway's id: several
-    gateways may have one certificate, and no member can speak for another's.
+    """Tracks who reads from one publisher.
+
+    A reader is its certificate's fingerprint and its gateway's id: several gateways may have one certificate, and no
+    member can speak for another's.
     """
 
     def __init__(self) -> None:
